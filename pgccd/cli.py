@@ -24,9 +24,10 @@ from pgccd.geometry.origin import Origin
 from pgccd.runtime.memory import is_out_of_memory
 from pgccd.sim.checkpoint import Header, require_checkpoint
 from pgccd.sim.distributed import command
+from pgccd.sim.pictures import write_pictures
 from pgccd.sim.progress import Progress, terminal_progress
 from pgccd.sim.run_folder import mesh_files
-from pgccd.sim.summary import summary_lines, totals, write_pictures
+from pgccd.sim.summary import summary_lines, totals
 
 _COMMANDS = ("simulate", "detect", "info")
 

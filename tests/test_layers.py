@@ -179,7 +179,7 @@ def test_packages_import_only_those_below() -> None:
 
 
 def test_folders_of_ranks_import_only_those_below() -> None:
-    folders = ("guard", "comm", "launch", "partition", "halo", "checkpoint", "detection", "world")
+    folders = ("guard", "comm", "launch", "partition", "halo", "checkpoint", "detection", "steps", "world")
     root = PACKAGE / "distributed"
     assert {path.parent.name for path in root.glob("*/__init__.py")} == set(folders)
     assert [path.name for path in root.glob("*.py")] == ["__init__.py"]
@@ -195,6 +195,11 @@ def test_stages_do_not_import_one_another() -> None:
     for stage in stages:
         used = imports(PACKAGE / "detection" / f"{stage}.py")
         assert not used & {f"pgccd.detection.{other}" for other in stages - {stage}}, stage
+
+
+def test_pictures_know_no_simulation() -> None:
+    for path in python_files(PACKAGE / "viz"):
+        assert not any(name.startswith(("pgccd.sim", "pgccd.distributed")) for name in imports(path)), path
 
 
 def test_one_process_needs_no_ranks() -> None:

@@ -162,9 +162,7 @@ class PCCCD:
         with clock.stage("fetch"):
             columns, owner, triangle_pairs = self._fetch(own, bodies_before, triangle_pairs)
         with clock.stage("narrow"):
-            pose = (columns["position_t0"], columns["orientation_t0"], columns["position_t1"], columns["rotation"])
-            scene = Scene._of_checked(self._meshes, columns["mesh_index"])
-            found = MovingBodies.of(scene, RigidMotion.from_rotation(*pose, path=motion.path))
+            found = MovingBodies.of_columns(self._meshes, columns, motion.path == "linear")
             pairs, candidates = feature_candidates(found, triangle_pairs, self._query.tests_start)
             rest = (pairs, candidates, *self._query.settings, narrow.REPORTS[self._query.report])
             row, *rows = ops.narrow(found.operands, *rest)

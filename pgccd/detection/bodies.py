@@ -9,9 +9,14 @@ from torch import Tensor
 
 from pgccd import arguments, ops
 from pgccd.geometry.columns import mesh_expected
-from pgccd.geometry.scene import Scene
+from pgccd.geometry.mesh import MeshSet
+from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
 from pgccd.motion.faults import MARGIN, Check, Checked, Faults, first_faults, first_faulty_radius, joined
 from pgccd.motion.paths import PATHS, RigidMotion, VertexMotion
+
+# The tensors of rigid bodies, and the columns of a motion among them.
+_RIGID = ("mesh_index", "position_t0", "position_t1", "radius", "orientation_t0", "rotation")
+_OF_MOTION = ("position_t0", "position_t1", "orientation_t0", "rotation")
 
 
 class MovingBodies:
@@ -19,7 +24,6 @@ class MovingBodies:
 
     Attributes:
         scene: the bodies.
-        motion: their paths.
         linear_path: whether vertices move on straight lines instead of arcs.
         deforming: whether the bodies are given by their vertices.
         tensors: the operators' `bodies` argument. Entries 1 to 3: positions at t0 and t1 (N, 3), of the origins or, for
@@ -37,14 +41,15 @@ class MovingBodies:
     def __init__(
         self,
         scene: Scene,
-        motion: RigidMotion | VertexMotion,
+        motion: RigidMotion | VertexMotion | None,
         columns: Mapping[str, Tensor],
         tensors: list[Tensor],
         swept_spheres: tuple[Tensor, Tensor, Tensor],
+        linear_path: bool,
     ) -> None:
-        self.scene, self.motion, self._columns = scene, motion, columns
-        self.linear_path = isinstance(motion, VertexMotion) or motion.path == "linear"
-        self.deforming = isinstance(motion, VertexMotion)
+        self.scene, self._motion, self._columns = scene, motion, columns
+        self.linear_path = linear_path
+        self.deforming = "x_t0" in columns
         self.tensors = tensors
         self.centre_t0, self.centre_t1, self.reach = swept_spheres
         # Columns of the scene that are checked.
@@ -85,13 +90,56 @@ class MovingBodies:
             tensors[0] = scene._sound_index()
         if scene.margin is not None:
             tensors.append(scene.margin)
-        bodies = cls(scene, motion, columns, tensors, _swept_spheres(scene, motion, tensors))
+        linear_path = isinstance(motion, VertexMotion) or motion.path == "linear"
+        spheres = _swept_spheres(scene, tensors, isinstance(motion, VertexMotion), linear_path)
+        bodies = cls(scene, motion, columns, tensors, spheres, linear_path)
         bodies.checked, bodies._of_scene = wait, of_scene
         if of_columns is not None:
             bodies._found_faults = bodies._with_radius(of_columns)
             if bodies.deforming:
                 bodies._raise_faults(bodies._found_faults.tolist())
         return bodies
+
+    @classmethod
+    def of_columns(cls, meshes: MeshSet, columns: Mapping[str, Tensor], linear_path: bool = False) -> MovingBodies:
+        """Bodies whose columns have been validated, for example by the ranks that sent them: nothing is checked, now or
+        later.
+
+        Args:
+            meshes: of the bodies.
+            columns: "mesh_index" (N,), those of a `RigidMotion` or `VertexMotion` by the names of their attributes,
+                and optional ones of a `Scene`; for rigid bodies also "radius" (N,), if it is not that of the mesh
+                (negative: no pair contains the body). Others are ignored.
+            linear_path: as for a motion with path="linear".
+
+        Example:
+            >>> some = pgccd.MovingBodies.of_columns(meshes, {name: x[rows] for name, x in bodies.columns.items()})
+        """
+        optional = {name: columns[name] for name in OPTIONAL_COLUMNS if name in columns}
+        index = columns["mesh_index"]
+        radius = columns["radius"] if "radius" in columns else meshes.radius.index_select(0, index)
+        scene = Scene._of_checked(meshes, index, radius=radius, **optional)
+        deforming = "x_t0" in columns
+        moving = {name: columns[name] for name in (("x_t0", "x_t1") if deforming else _OF_MOTION)}
+        tensors = (_deforming if deforming else _rigid)(scene, moving)
+        if scene.margin is not None:
+            tensors.append(scene.margin)
+        spheres = _swept_spheres(scene, tensors, deforming, linear_path)
+        bodies = cls(scene, None, moving, tensors, spheres, linear_path or deforming)
+        bodies.checked = True
+        return bodies
+
+    @property
+    def columns(self) -> dict[str, Tensor]:
+        """The columns of `of_columns`; of bodies that deform without those of their vertices."""
+        rigid = {"mesh_index": self.tensors[0]} if self.deforming else dict(zip(_RIGID, self.tensors, strict=False))
+        optional = {name: getattr(self.scene, name) for name in OPTIONAL_COLUMNS}
+        return rigid | {name: column for name, column in optional.items() if column is not None}
+
+    @property
+    def swept_spheres(self) -> tuple[Tensor, Tensor, Tensor]:
+        """`centre_t0`, `centre_t1` and `reach`."""
+        return self.centre_t0, self.centre_t1, self.reach
 
     def _first_faults(self) -> Tensor:
         """(F,) int64: for each check the first faulty row, or a number past the last row; then 1 if any row is faulty,
@@ -103,7 +151,13 @@ class MovingBodies:
 
     def _known_faults(self) -> Tensor | None:
         """`_first_faults`, or None if an operator finds them from the columns of `checked_by_operator`."""
-        return self._first_faults() if self.motion._has_verdict else self._found_faults
+        has_verdict = self._motion is None or self._motion._has_verdict
+        return self._first_faults() if has_verdict else self._found_faults
+
+    @property
+    def _operator_checks(self) -> tuple[list[int], list[float]]:
+        """The checks and limits of the columns of the motion, for `ops.detect_rigid`."""
+        return ([], []) if self._motion is None else self._motion._checks
 
     @property
     def _checked_by_operator(self) -> list[Checked]:
@@ -116,12 +170,16 @@ class MovingBodies:
         Raises:
             ValueError: naming the column, the row and the value.
         """
+        if self._motion is None:
+            return
         self._of_scene = scene_columns(self.scene)
-        if (self._of_scene or not self.motion._is_trusted) and not torch.compiler.is_compiling():
+        if (self._of_scene or not self._motion._is_trusted) and not torch.compiler.is_compiling():
             self._raise_faults(self._find_faults().tolist())
 
     def _find_faults(self) -> Tensor:
-        return self._with_radius(self.motion._first_faults(self._columns, self._of_scene))
+        if self._motion is None:
+            return torch.zeros(1, dtype=torch.int64, device=self.device)
+        return self._with_radius(self._motion._first_faults(self._columns, self._of_scene))
 
     def _with_radius(self, faults: Tensor) -> Tensor:
         return joined(faults, first_faulty_radius(self.radius)) if self.deforming else faults
@@ -129,7 +187,9 @@ class MovingBodies:
     @property
     def _faults(self) -> Faults:
         """The meaning of the values of `_first_faults`."""
-        columns = [*self.motion._faults.columns, *self._of_scene]
+        if self._motion is None:
+            return Faults([])
+        columns = [*self._motion._faults.columns, *self._of_scene]
         return Faults(columns, self.radius if self.deforming else None)
 
     def _raise_faults(self, first: Sequence[int]) -> None:
@@ -196,11 +256,11 @@ def check_scene(scene: Scene) -> None:
 
 
 def _swept_spheres(
-    scene: Scene, motion: RigidMotion | VertexMotion, tensors: list[Tensor]
+    scene: Scene, tensors: list[Tensor], deforming: bool, linear_path: bool
 ) -> tuple[Tensor, Tensor, Tensor]:
     centre_t0, centre_t1, reach = tensors[1:4]
-    if isinstance(motion, RigidMotion) and not scene.meshes.is_centred:
-        centre_t0, centre_t1, reach = ops.moving_spheres(scene.meshes.tensors, tensors, motion.path == "linear")
+    if not deforming and not scene.meshes.is_centred:
+        centre_t0, centre_t1, reach = ops.moving_spheres(scene.meshes.tensors, tensors, linear_path)
     if scene.margin is not None:
         reach = (reach + scene.margin) * (1.0 + 2.0**-50)
     return centre_t0, centre_t1, reach

@@ -15,6 +15,7 @@ from pgccd.detection.query import Query
 from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
 from pgccd.motion.faults import Faults
 from pgccd.motion.paths import RigidMotion, VertexMotion
+from pgccd.runtime.attempts import TooSmall, until_it_fits
 from pgccd.runtime.graph import Graph, capture
 from pgccd.runtime.host_copy import HostCopy
 
@@ -195,14 +196,16 @@ class CapturedDetection(Generic[P]):
         """
         padded = self.replay() if self._found is None else self._found
         self._records.pop(self._call_of_found, None)  # read now instead of two calls later
-        while True:
+
+        def attempt(padded: P) -> Contacts | CollidingPairs | TooSmall[P]:
             try:
-                found = padded.trim()
+                return padded.trim()
             except CapacityError as error:
                 self._grow(error)
-                padded = self._run()
-            else:
-                return found.clone() if self.is_graph else found
+                return TooSmall(self._run())
+
+        found: Contacts | CollidingPairs = until_it_fits(attempt, padded)
+        return found.clone() if self.is_graph else found
 
     @property
     def is_graph(self) -> bool:

@@ -152,7 +152,7 @@ def search_rigid(
     faults = bodies._known_faults()
     of_scene = [] if faults is not None else bodies._checked_by_operator
     more = [column.values.to(torch.float64)[:, None] for column in of_scene]
-    checks, limits = bodies.motion._checks
+    checks, limits = bodies._operator_checks
     reach = torch.empty_like(bodies.reach) if marks_invalid and faults is None else None
     chosen = broad.choose(bodies, broad_phase)
     min_separation, tolerance, nonzero_toi = query.settings

@@ -20,7 +20,7 @@ from pgccd.detection.streaming import join_contacts
 
 # Capacity for pairs found without synchronising, relative to the last step. Larger than for pairs of known number,
 # since the number of pairs may grow too.
-_SLACK = 1.5
+PART_SLACK = 1.5
 
 
 @dataclass(eq=False)
@@ -151,7 +151,7 @@ def find_part(
     discard: Tensor | None = None,
     rows: Tensor | None = None,
     estimate: CapacityEstimate | None = None,
-    slack: float = _SLACK,
+    slack: float = PART_SLACK,
     elsewhere: Tensor | None = None,
 ) -> Part:
     """The PCS of bodies, as a part. On a GPU it is found in an estimated capacity without synchronising, if the
@@ -171,7 +171,8 @@ def find_part(
     separation, tolerance = query.min_separation, query.tolerance
 
     def find_pairs() -> Tensor:
-        bodies.check()
+        if not bodies.checked:
+            bodies._raise_faults(bodies._first_faults().tolist())
         chosen = broad.choose(bodies, broad_phase)
         pairs = broad.find_pairs_of_checked(bodies, separation, chosen, tolerance, elsewhere=elsewhere)
         if select is None:
@@ -182,8 +183,6 @@ def find_part(
     estimate = estimate or CapacityEstimate()
     capacity = expected_capacity(bodies, None, estimate, slack=slack) if _looks_ahead(bodies) else None
     if capacity is None:
-        if not bodies.checked:
-            bodies._raise_faults(bodies._first_faults().tolist())
         return Part(query, bodies, find_pairs(), rows=rows)
     invalid = bodies._first_faults()[-1:]
     if discard is not None:

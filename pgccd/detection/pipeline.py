@@ -21,6 +21,7 @@ from pgccd.detection.trajectories import TrajectoryContacts, detect_trajectory
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
+from pgccd.runtime.attempts import TooSmall, until_it_fits
 
 # A step that overflows is repeated with a larger capacity, at most once per stage that may overflow.
 _ATTEMPTS = 6
@@ -317,20 +318,23 @@ def _detect_in_capacity(
     """Runs all stages in the estimated capacity, and again in larger ones on overflow; None if that needs too much
     memory.
     """
-    estimate = estimate_of(bodies.scene, query, pairs)
-    capacity = estimate.capacity(bodies.scene, pairs)
+    estimate, attempts = estimate_of(bodies.scene, query, pairs), 0
     ops.take_scratch_peak()  # discards the peak of earlier steps
-    for attempt in range(1, _ATTEMPTS + 1):
-        if capacity.bytes > memory_limit(memory_budget, capacity.bytes, bodies.device):
+
+    def attempt(capacity: BufferSizes) -> Contacts | CollidingPairs | TooSmall[BufferSizes] | None:
+        nonlocal attempts
+        attempts += 1
+        if attempts > _ATTEMPTS or capacity.bytes > memory_limit(memory_budget, capacity.bytes, bodies.device):
             return None
         search = search_padded(bodies, query, capacity, broad_phase, pairs)
         counts = search.read()
         needed = counts.needed(capacity)
         estimate.learn(bodies.scene.body_count if pairs is None else len(pairs), needed)
-        if not counts.overflow:
-            contacts = search.contacts(counts)
-            contacts.stats.waits = attempt
-            contacts.stats.scratch_bytes = ops.take_scratch_peak()
-            return contacts
-        capacity = capacity.grown(needed)
-    return None
+        if counts.overflow:
+            return TooSmall(capacity.grown(needed))
+        contacts = search.contacts(counts)
+        contacts.stats.waits = attempts
+        contacts.stats.scratch_bytes = ops.take_scratch_peak()
+        return contacts
+
+    return until_it_fits(attempt, estimate.capacity(bodies.scene, pairs))

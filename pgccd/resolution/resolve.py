@@ -22,6 +22,7 @@ from pgccd.detection.pipeline import detect_moving
 from pgccd.detection.query import Query
 from pgccd.geometry.columns import bool_column
 from pgccd.geometry.scene import Scene
+from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.resolution.results import M, PaddedResolution, Resolution, union_of_pairs
 from pgccd.resolution.round_plan import RoundPlan
 from pgccd.resolution.rounds import Attempt, OneRank, resolve_collisions
@@ -163,7 +164,7 @@ class _Step:
         first_faults = bodies._first_faults()
         faults = HostCopy.start(first_faults)
         part = find_part(bodies, query, self.broad_phase, estimate=plan.pairs)
-        stoppers, search = self._search(may_wait=True)
+        stoppers, search = self._search(motion, may_wait=True)
         given = [part], scene.body_count, search, plan.rounds, _nothing, StageClock()
         resolved = resolve_collisions(*given, fixed=self.fixed, stoppers=stoppers)
         bodies._raise_faults(faults.numpy().tolist())
@@ -187,7 +188,7 @@ class _Step:
         pairs, counts = broad.find_pairs_padded(bodies, kept[0], chosen, capacity, faults[-1:], kept[1])
         part = Part(query, bodies, pairs, counts, capacity=capacity)
         part.start()
-        stoppers, search = self._search(may_wait=False)
+        stoppers, search = self._search(motion, may_wait=False)
         plan = RoundPlan.of(capacity)
         attempt = Attempt([part], scene.body_count, search, plan, OneRank(), StageClock(), self.fixed, stoppers)
         first_change = attempt.begin()
@@ -220,10 +221,10 @@ class _Step:
             _faults=bodies._faults,
         )
 
-    def _search(self, may_wait: bool) -> tuple[Stoppers, ShortenedSearch]:
+    def _search(self, motion: RigidMotion | VertexMotion, may_wait: bool) -> tuple[Stoppers, ShortenedSearch]:
         bodies, scene = self.bodies, self.bodies.scene
         stoppers = Stoppers(scene.body_count, scene.device)
-        given = scene, bodies.motion, self.query, self.broad_phase, bodies._first_faults()[-1:], stoppers, may_wait
+        given = scene, motion, self.query, self.broad_phase, bodies._first_faults()[-1:], stoppers, may_wait
         return stoppers, ShortenedSearch(*given)
 
     @property

@@ -6,6 +6,7 @@ from collections import deque
 from typing import Any, Generic, TypeVar
 
 import torch
+from torch import Tensor
 
 from pgccd.runtime.memory import is_out_of_memory, release_cache
 from pgccd.runtime.transaction import C, Replay, TransactionGraph
@@ -46,17 +47,34 @@ class ReplayedSteps(ABC, Generic[M, C, G]):
     def _make_graph(self, index: int) -> G:
         """The graph of the next step, to be captured, with capacities somewhat larger than the last step needed."""
 
+    @property
     @abstractmethod
+    def _columns(self) -> dict[str, Tensor]:
+        """The current state (N, ...), by name; of the same number of rows while steps are replayed."""
+
+    @_columns.setter
+    @abstractmethod
+    def _columns(self, columns: dict[str, Tensor]) -> None: ...
+
     def _begin(self, graph: G, index: int) -> None:
         """Loads the state into a graph just captured. Sends no messages: other ranks may have failed to capture it."""
+        graph.load(self._columns, index)
 
-    @abstractmethod
+    def _fits(self, graph: G) -> bool:
+        """Whether the state fits into the graph."""
+        return all(len(column) <= graph.rows for column in self._columns.values())
+
     def _load(self, graph: G, index: int) -> bool:
         """Loads the state into the graph. False: it does not fit."""
+        fits = self._fits(graph)
+        if fits:
+            graph.load(self._columns, index)
+        return fits
 
-    @abstractmethod
     def _take(self, graph: G) -> None:
         """Copies the graph's state to the current state."""
+        count = len(next(iter(self._columns.values())))
+        self._columns = {name: column[:count].clone() for name, column in graph.columns.items()}
 
     def _read(self, replay: Replay[C], index: int) -> C | None:
         """Waits for a step; None if it was not committed."""

@@ -7,6 +7,7 @@ committed, it and the steps enqueued after it change nothing, until the host has
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Generic, Self, TypeVar
 
@@ -26,16 +27,43 @@ class TransactionGraph(ABC, Generic[C]):
     """One step as a CUDA graph, from a state in fixed memory to the next one. Call `capture` before `replay`.
 
     Args:
-        device: a CUDA device.
+        columns: the state (N, ...) by name, copied; on a CUDA device.
+        index: number of the next step.
+        padding: one row (1, ...) of each column, for unused rows.
+        rows: number of rows for the state; default N.
     """
 
-    def __init__(self, device: torch.device) -> None:
-        self._device = device
+    def __init__(
+        self,
+        columns: Mapping[str, Tensor],
+        index: int,
+        padding: Mapping[str, Tensor] | None = None,
+        rows: int | None = None,
+    ) -> None:
+        given = next(iter(columns.values()))
+        self._device, self._padding = given.device, padding
+        self.rows = len(given) if rows is None else rows
+        #: The state in fixed memory, then padding.
+        self.columns = {name: column.new_empty((self.rows, *column.shape[1:])) for name, column in columns.items()}
+        # Number of the next step.
+        self._index = torch.empty(1, dtype=torch.int64, device=self._device)
         # 1 after a step was not committed: later ones are not committed either. Initially 1, so that the capture
         # commits nothing.
-        self._failed = torch.ones(1, dtype=torch.int64, device=device)
+        self._failed = torch.empty_like(self._index)
+        self.load(columns, index)
+        self._failed.fill_(1)
         #: Whether the step has been enqueued at least once, with the messages that it sends.
         self.has_run = False
+
+    def load(self, columns: Mapping[str, Tensor], index: int) -> None:
+        """Loads another state, of at most `rows` rows."""
+        for name, column in columns.items():
+            self.columns[name][: len(column)].copy_(column)
+            if len(column) < self.rows:
+                assert self._padding is not None
+                self.columns[name][len(column) :] = self._padding[name]
+        self._index.fill_(index)
+        self._failed.zero_()
 
     @abstractmethod
     def _step(self) -> Tensor:

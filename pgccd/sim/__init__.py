@@ -14,6 +14,7 @@ from pgccd.sim.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from pgccd.sim.hashing import contacts_hash, state_hash
 from pgccd.sim.log import LOG_FILE, read_log
 from pgccd.sim.model import PATTERNS, Model, ModelConfig, RobotState
+from pgccd.sim.pictures import snapshot_of_state, snapshot_of_step
 from pgccd.sim.replay import StepMaker
 from pgccd.sim.response import respond
 from pgccd.sim.robot import robot_mesh
@@ -46,6 +47,8 @@ __all__ = [
     "robot_mesh",
     "run",
     "save_checkpoint",
+    "snapshot_of_state",
+    "snapshot_of_step",
     "state_hash",
 ]
 

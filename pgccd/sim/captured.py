@@ -79,13 +79,14 @@ class StepGraph(TransactionGraph[CommittedStep]):
 
     Args:
         model: the rules.
-        state: of the robots; copied. Rows with negative ids are padding.
+        state: of the robots; copied.
         index: number of the next step.
         search: enqueues the searches of a planned step.
         plan: capacities of rounds.
         rounds: number of rounds of collision resolution.
         usual_rounds: of these, how many every replay runs; see `Attempt.make_rounds_of_replay`.
         conclude: values to exchange besides those of `count_step`; default: none.
+        rows: number of rows for robots; those with negative ids are padding. Default: no padding.
     """
 
     def __init__(
@@ -98,22 +99,18 @@ class StepGraph(TransactionGraph[CommittedStep]):
         rounds: int,
         usual_rounds: int = 0,
         conclude: Conclude | None = None,
+        rows: int | None = None,
     ) -> None:
-        super().__init__(model.device)
+        super().__init__(state.columns, index, _padding(state), rows)
         self._model, self._search, self._plan, self.rounds = model, search, plan, rounds
         self._usual_rounds = usual_rounds
         self._conclude = conclude
-        self.state = state.map(Tensor.clone)
-        self._index = torch.full((1,), index, dtype=torch.int64, device=model.device)
         self._parts, self._rank = 1, 0
 
-    def load(self, state: RobotState, index: int) -> None:
-        """Loads another state, of at most as many robots as rows."""
-        for name, column in self.state.columns.items():
-            column[: len(state)].copy_(getattr(state, name))
-        clear_rows(self.state, len(state))
-        self._index.fill_(index)
-        self._failed.zero_()
+    @property
+    def state(self) -> RobotState:
+        """The state in fixed memory."""
+        return RobotState(**self.columns)
 
     def _step(self) -> Tensor:
         """plan, detect, resolve, commit, count. Returns the record, one row per rank: failure flag, changes of rounds,
@@ -149,10 +146,10 @@ class StepGraph(TransactionGraph[CommittedStep]):
         return CommittedStep(index, rounds, seconds, self._rank, counts, record[:, end:])
 
 
-def clear_rows(state: RobotState, begin: int) -> None:
-    """Sets the rows from `begin` on to padding: negative ids, at rest in a valid pose."""
-    for column in state.columns.values():
-        column[begin:] = 0
-    for column in (state.id, state.target, state.stay_until):
-        column[begin:] = -1
-    state.orientation[begin:, 0] = 1.0
+def _padding(like: RobotState) -> dict[str, Tensor]:
+    """A row of padding: a robot with a negative id, at rest in a valid pose."""
+    row = like.map(lambda column: column.new_zeros((1, *column.shape[1:])))
+    for column in (row.id, row.target, row.stay_until):
+        column.fill_(-1)
+    row.orientation[:, 0] = 1.0
+    return row.columns

@@ -253,9 +253,12 @@ class Model:
 
     def scene(self, id: Tensor) -> Scene:
         """The scene of the robots `id` (N,) int64."""
+        return Scene._of_checked(self.meshes, self.mesh_index(id))
+
+    def mesh_index(self, id: Tensor) -> Tensor:
+        """(N,) int32: the kinds of the robots `id` (N,) int64."""
         kinds = len(self.meshes)
-        index = (id % kinds).to(torch.int32) if kinds > 1 else torch.zeros_like(id, dtype=torch.int32)
-        return Scene._of_checked(self.meshes, index)
+        return (id % kinds).to(torch.int32) if kinds > 1 else torch.zeros_like(id, dtype=torch.int32)
 
     def describe(self) -> dict[str, Any]:
         """The configuration and values derived from it, as plain numbers."""

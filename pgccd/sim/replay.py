@@ -1,14 +1,13 @@
 """Steps of a simulation as replays of a graph."""
 
 from collections import deque
-from typing import Protocol, TypeVar
 
 from torch import Tensor
 
 from pgccd.detection import broad
 from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.parts import find_part
-from pgccd.resolution.rounds import Fractions, OneRank
+from pgccd.resolution.rounds import OneRank
 from pgccd.runtime.replayed_steps import GRAPH_SLACK, ReplayedSteps
 from pgccd.sim.captured import CommittedStep, Searches, StepGraph
 from pgccd.sim.model import Model, RobotState
@@ -22,47 +21,35 @@ _RECENT_STEPS, _SPARE_ROUNDS = 512, 1
 _USUAL_STEPS = 16
 
 
-class MadeStep(Protocol):
-    """A step run launch by launch."""
+class RecentRounds:
+    """Numbers of rounds of collision resolution in recent steps: a graph has more than any of them took."""
 
-    @property
-    def resolution(self) -> Fractions: ...
-
-
-M = TypeVar("M", bound=MadeStep)
-
-
-class SimulationSteps(ReplayedSteps[M, CommittedStep, StepGraph]):
-    """Steps of a simulation: a graph has more rounds of collision resolution than any recent step took.
-
-    Args:
-        wants_graph: whether steps are replayed.
-    """
-
-    def __init__(self, wants_graph: bool) -> None:
-        super().__init__(wants_graph)
+    def __init__(self) -> None:
         self._rounds: deque[int] = deque(maxlen=_RECENT_STEPS)
 
-    def _note(self, step: M | CommittedStep) -> None:
-        self._rounds.append(step.rounds if isinstance(step, CommittedStep) else step.resolution.rounds)
+    def note(self, rounds: int) -> None:
+        """Records the rounds of a step."""
+        self._rounds.append(rounds)
 
     @property
-    def _rounds_to_capture(self) -> int:
+    def to_capture(self) -> int:
+        """Rounds of a graph."""
         return max(self._rounds) + _SPARE_ROUNDS
 
     @property
-    def _usual_rounds(self) -> int:
+    def usual(self) -> int:
         """Rounds that three of four recent steps needed. A conditional part of a graph costs a third as much as a
         superfluous round.
         """
         recent = sorted(list(self._rounds)[-_USUAL_STEPS:])
         return recent[len(recent) // 4]
 
-    def _is_oversized(self, graph: StepGraph) -> bool:
-        return len(self._rounds) == _RECENT_STEPS and self._rounds_to_capture < graph.rounds
+    def need_fewer_than(self, rounds: int) -> bool:
+        """Whether a graph with so many rounds has more than needed."""
+        return len(self._rounds) == _RECENT_STEPS and self.to_capture < rounds
 
 
-class StepMaker(SimulationSteps[Step]):
+class StepMaker(ReplayedSteps[Step, CommittedStep, StepGraph]):
     """Runs the steps of a simulation in one process; on a GPU consecutive steps are replays of a graph.
 
     Args:
@@ -82,7 +69,7 @@ class StepMaker(SimulationSteps[Step]):
         super().__init__(model.device.type == "cuda" if graph is None else graph)
         self._model, self._broad_phase = model, broad_phase
         self._state, self._scene = state, model.scene(state.id)
-        self._plan = StepPlan()
+        self._plan, self._recent = StepPlan(), RecentRounds()
 
     @property
     def state(self) -> RobotState:
@@ -110,18 +97,22 @@ class StepMaker(SimulationSteps[Step]):
         return made
 
     def _make_graph(self, index: int) -> StepGraph:
-        rounds = self._rounds_to_capture, self._usual_rounds
+        rounds = self._recent.to_capture, self._recent.usual
         return make_step_graph(self._model, self._state, index, self._broad_phase, self._plan, *rounds)
 
-    def _begin(self, graph: StepGraph, index: int) -> None:
-        return  # it was made with the state
+    def _note(self, step: Step | CommittedStep) -> None:
+        self._recent.note(step.rounds if isinstance(step, CommittedStep) else step.resolution.rounds)
 
-    def _load(self, graph: StepGraph, index: int) -> bool:
-        graph.load(self._state, index)
-        return True
+    def _is_oversized(self, graph: StepGraph) -> bool:
+        return self._recent.need_fewer_than(graph.rounds)
 
-    def _take(self, graph: StepGraph) -> None:
-        self._state = graph.state.map(Tensor.clone)
+    @property
+    def _columns(self) -> dict[str, Tensor]:
+        return self._state.columns
+
+    @_columns.setter
+    def _columns(self, columns: dict[str, Tensor]) -> None:
+        self._state = RobotState(**columns)
 
 
 def make_step_graph(

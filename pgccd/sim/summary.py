@@ -1,6 +1,5 @@
-"""Summary of a finished run: statistics and pictures."""
+"""Summary of a finished run: its statistics."""
 
-from pathlib import Path
 from typing import Any
 
 from pgccd.sim.runner import Run
@@ -43,34 +42,3 @@ def summary_lines(run: Run) -> list[str]:
 
 def _sum(run: Run, name: str) -> Any:
     return sum(record[name] for record in run.records)
-
-
-def write_pictures(run: Run, folder: Path) -> dict[str, Path]:
-    """Writes `world.html` and `world.png` of a run's last step.
-
-    Returns:
-        Their paths, by "page" and "picture".
-
-    Raises:
-        ImportError: matplotlib is not installed; the page is written anyway.
-    """
-    from pgccd import viz  # viz imports this package: an import at the top would be circular
-
-    kinds = ", ".join(f"{len(mesh.faces):,}" for mesh in run.model.meshes.meshes)
-    world = f"{run.model.config.robots:,} robots of {kinds} triangles, {run.model.config.pattern} model"
-    caption = [f"{world}, after step {run.steps_made}"]
-    if run.one_in > 1:
-        caption.append(f"one in {run.one_in} robots is shown, and those that collide with them")
-    if run.last_step is None:
-        snapshot = viz.Snapshot.of_state(run.model, run.state, caption)
-    else:
-        record = run.last_step.record
-        caption.append(f"{record['pcs']:,} potentially colliding pairs")
-        caption.append(f"{record['contacts']:,} contacts, each with its time of impact")
-        caption.append(f"{record['stopped']:,} robots stopped")
-        caption.append(f"{1e3 * record['seconds']:,.1f} ms for the step on {run.model.device.type}")
-        snapshot = viz.Snapshot.of_step(run.model, run.last_step, caption)
-    page, picture = folder / "world.html", folder / "world.png"
-    for path in (page, picture):
-        path.unlink(missing_ok=True)  # links are not followed
-    return {"page": viz.world_page(page, snapshot), "picture": viz.world_picture(picture, snapshot)}

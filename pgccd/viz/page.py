@@ -25,13 +25,13 @@ def world_page(path: str | Path, snapshot: Snapshot) -> Path:
 
     Args:
         path: of the page.
-        snapshot: from `Snapshot.of_step` or `Snapshot.of_state`.
+        snapshot: such as from `pgccd.sim.snapshot_of_step`.
 
     Returns:
         The path.
 
     Example:
-        >>> pgccd.viz.world_page("model.html", pgccd.viz.Snapshot.of_step(model, step))
+        >>> pgccd.viz.world_page("model.html", pgccd.sim.snapshot_of_step(model, step))
     """
     still = np.zeros_like(snapshot.position)
     no_contacts = np.zeros((0, 2), dtype=np.int64), np.zeros(0), still[:0]

@@ -23,7 +23,7 @@ def world_picture(path: str | Path, snapshot: Snapshot) -> Path:
 
     Args:
         path: of the PNG.
-        snapshot: from `Snapshot.of_step` or `Snapshot.of_state`.
+        snapshot: such as from `pgccd.sim.snapshot_of_step`.
 
     Returns:
         The path.
@@ -32,7 +32,7 @@ def world_picture(path: str | Path, snapshot: Snapshot) -> Path:
         ImportError: matplotlib is not installed.
 
     Example:
-        >>> pgccd.viz.world_picture("model.png", pgccd.viz.Snapshot.of_step(model, step))
+        >>> pgccd.viz.world_picture("model.png", pgccd.sim.snapshot_of_step(model, step))
     """
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg

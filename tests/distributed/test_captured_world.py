@@ -27,11 +27,11 @@ from pgccd.distributed import (
     WorldStep,
 )
 from pgccd.distributed.comm.interface import Alone
-from pgccd.distributed.detection import padded_share
-from pgccd.distributed.halo import capacity as halo_capacity
+from pgccd.distributed.detection import share
+from pgccd.distributed.halo import sizes as halo_sizes
 from pgccd.distributed.partition import rebalancing
 from pgccd.distributed.partition.balance import BackOff, RankLoads
-from pgccd.distributed.world import captured as captured_world
+from pgccd.distributed.steps import replayed as rank_steps
 
 COUNT, STEPS, BOX = 120, 24, 5.5
 
@@ -108,11 +108,10 @@ def follow(comm: Comm, policy: str, partition: str, graph: bool, device: str, cr
     expected, counts = plain_loop(STEPS)
     with graphs_on(device if graph else "none") as stack:
         if cramped:  # one more body overflows
-            for module in (halo_capacity, padded_share):
-                stack.enter_context(mock.patch.object(module, "padded_count", lambda count: count))
-            stack.enter_context(mock.patch.object(padded_share, "_NEAR_SLACK", 1))
-            stack.enter_context(mock.patch.object(padded_share, "_OWN_MORE", 0))
-        stack.enter_context(mock.patch.object(captured_world, "_MOST_AWAY", 0.5))
+            stack.enter_context(mock.patch.object(halo_sizes, "padded_count", lambda count: count))
+            stack.enter_context(mock.patch.object(halo_sizes, "_NEAR_SLACK", 1))
+            stack.enter_context(mock.patch.object(rank_steps, "_OWN_MORE", 0))
+        stack.enter_context(mock.patch.object(rank_steps, "_MOST_AWAY", 0.5))
         world = spread(comm, torch.device(device), policy, partition)
         loop = CapturedWorld(world, motion, response, graph)
         steps: list[WorldStep] = []
@@ -153,7 +152,7 @@ def save_and_load(comm: Comm, folder: str, device: str = "cpu") -> int:
         world = spread(comm, torch.device(device), "cost", "cells")
         steps = CapturedWorld(world, motion, response, True).run(10)
         world.save(folder)
-        asked: dict[str, Any] = {"nonzero_toi": True, "min_separation": 1e-3, "balance": world.balancer.options}
+        asked: dict[str, Any] = {"nonzero_toi": True, "min_separation": 1e-3, "balance": world._rank.balancer.options}
         world = World.load(folder, meshes().meshes, comm=comm, device=device, **asked)
         assert world.id.device.type == torch.device(device).type
         after = CapturedWorld(world, motion, response, True).run(STEPS - 10)
@@ -225,7 +224,7 @@ def decisions(comm: Comm, graph: bool) -> tuple[list[int], int]:
         stack.enter_context(mock.patch.object(rebalancing, "rebalanced", noted))
         stack.enter_context(mock.patch.object(RankLoads, "are_level", lambda *_: False))
         stack.enter_context(mock.patch.object(BackOff, "is_over", lambda *_: True))
-        stack.enter_context(mock.patch.object(captured_world, "_MOST_AWAY", 0.0))
+        stack.enter_context(mock.patch.object(rank_steps, "_MOST_AWAY", 0.0))
         steps = CapturedWorld(world, motion, response, graph).run(STEPS)
     return made, sum(step.replayed for step in steps)
 
@@ -349,7 +348,7 @@ def follow_off_centre(comm: Comm, broad_phase: str) -> list[tuple[int, int, bool
         assert not bodies.reach.isnan().any()
         return find_part(bodies, *arguments, **more)
 
-    with graphs_on("cpu"), mock.patch.object(padded_share, "find_part", search):
+    with graphs_on("cpu"), mock.patch.object(share, "find_part", search):
         columns = {"id": mine, "world": mine // 2, "balance": BalanceOptions("none")}
         asked: dict[str, Any] = {"comm": comm, "broad_phase": broad_phase, **columns}
         world = World.create([mesh], (0.0,) * 3, (8.0, 4.0, 4.0), position, **asked)

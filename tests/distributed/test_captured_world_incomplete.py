@@ -20,7 +20,7 @@ from distributed.test_captured_world import motion, plain_loop, response, spread
 from pgccd.detection.capacity import COUNT_ROWS, overflow_flags
 from pgccd.distributed import Bodies, CapturedWorld, Comm
 from pgccd.distributed.comm.interface import Alone
-from pgccd.distributed.detection.padded_share import search_padded_share
+from pgccd.distributed.detection.share import search_share
 from pgccd.distributed.world import captured as captured_world
 
 STEPS, LOST = 12, 6
@@ -41,8 +41,8 @@ def lose(comm: Comm, device: str, where: str, loser: int, over_peers: bool) -> t
         return overflow_flags(counts)
 
     def searched(*given: Any, **options: Any) -> Any:
-        share = search_padded_share(*given, **options)
-        return replace(share, failed=share.failed + is_loser * (now == LOST).to(torch.int64))
+        share, made = search_share(*given, **options)
+        return replace(share, overflow=share.overflow + is_loser * (now == LOST).to(torch.int64)), made
 
     def noted(bodies: Bodies) -> pgccd.RigidMotion:
         nonlocal now
@@ -55,7 +55,7 @@ def lose(comm: Comm, device: str, where: str, loser: int, over_peers: bool) -> t
         return response(bodies, moving, first_toi)
 
     with graphs_on(device) as stack:
-        name, replacement = ("search_padded_share", searched) if where == "halo" else ("overflow_flags", flags)
+        name, replacement = ("search_share", searched) if where == "halo" else ("overflow_flags", flags)
         stack.enter_context(mock.patch.object(captured_world, name, replacement))
         if over_peers:
             stack.enter_context(mock.patch.object(comm, "peer_messages", OverConnection(comm)))

@@ -156,7 +156,7 @@ def tumble(comm: Comm, policy: str) -> list[str]:
 
 def tumble_ahead(comm: Comm, policy: str) -> list[str]:
     """The same with padded messages of ghosts, as on GPUs."""
-    with mock.patch("pgccd.distributed.detection.share._sends_ahead", lambda comm, _: comm.size > 1):
+    with mock.patch("pgccd.distributed.steps.rank.sends_ahead", lambda comm, *_: comm.size > 1):
         return tumble(comm, policy)
 
 

@@ -17,14 +17,13 @@ from distributed.conftest import World
 from pgccd import sim
 from pgccd.detection.capacity import BufferSizes, Capacity
 from pgccd.distributed import BalanceOptions, Bisection, Cells, Comm
-from pgccd.distributed.detection import padded_share
-from pgccd.distributed.halo import capacity as halo_capacity
+from pgccd.distributed.halo import sizes as halo_sizes
 from pgccd.distributed.partition.cut import make_partition
 from pgccd.distributed.partition.decomposition import Decomposition
+from pgccd.distributed.steps import replayed as rank_steps
 from pgccd.resolution.round_plan import RoundPlan
 from pgccd.runtime import transaction
 from pgccd.sim.distributed import DistributedSimulation, RankStep, starting_share
-from pgccd.sim.distributed import simulation as simulation_module
 from pgccd.sim.distributed.gathering import gather_sample
 
 TIMES = ("seconds", "stage_seconds", "ranks")
@@ -118,7 +117,7 @@ def follow(
         for part, whole in (("bodies", "robots"), ("pcs", "pcs"), ("contacts", "contacts")):
             assert len(ranks[part]) == comm.size and sum(ranks[part]) == made.record[whole]
         if isinstance(made, RankStep):
-            assert len(made.detection.contacts) == ranks["contacts"][comm.rank]
+            assert len(made.share.contacts) == ranks["contacts"][comm.rank]
             assert bool((simulation.partition.owner_of(simulation.state.position) == comm.rank).all())
         else:
             assert graph and more > 0
@@ -147,12 +146,11 @@ def follow_replayed(
     """The same with replays of a graph and messages of fixed size, as on GPUs."""
     with graphs_on("cpu") as stack:
         # Otherwise with so few robots, cells would change owners, or robots be away, in almost every step.
-        stack.enter_context(mock.patch.object(simulation_module, "_MOST_AWAY", 0.5))
+        stack.enter_context(mock.patch.object(rank_steps, "_MOST_AWAY", 0.5))
         if padding == "none":  # one more body overflows
-            for module in (halo_capacity, padded_share):
-                stack.enter_context(mock.patch.object(module, "padded_count", lambda count: count))
-            stack.enter_context(mock.patch.object(padded_share, "_NEAR_SLACK", 1))
-            stack.enter_context(mock.patch.object(padded_share, "_OWN_MORE", 0))
+            stack.enter_context(mock.patch.object(halo_sizes, "padded_count", lambda count: count))
+            stack.enter_context(mock.patch.object(halo_sizes, "_NEAR_SLACK", 1))
+            stack.enter_context(mock.patch.object(rank_steps, "_OWN_MORE", 0))
         seen = follow(comm, name, policy, steps, random_owners, True, graph=True)
         assert stack.rounds is not None
         return seen | {"skipped": stack.rounds.skipped}
@@ -210,7 +208,7 @@ def follow_neighbours(comm: Comm, name: str, policy: str, steps: int, graph: boo
         assert self.neighbours.size == len(self.neighbours.ranks) + 1
 
     with graphs_on("cpu" if graph else "none") as stack:
-        stack.enter_context(mock.patch.object(simulation_module, "_MOST_AWAY", 0.5))
+        stack.enter_context(mock.patch.object(rank_steps, "_MOST_AWAY", 0.5))
         stack.enter_context(mock.patch.object(Decomposition, "extend", noted))
         if policy == "none":
             for partition in (Cells, Bisection):
@@ -228,7 +226,7 @@ def follow_bisected(
 ) -> dict[str, int]:
     """The same with bisection, as replays or not."""
     with graphs_on(device if replayed else "none") as stack:
-        stack.enter_context(mock.patch.object(simulation_module, "_MOST_AWAY", 0.5))
+        stack.enter_context(mock.patch.object(rank_steps, "_MOST_AWAY", 0.5))
         return follow(comm, name, policy, steps, False, True, device, replayed, "bisection")
 
 

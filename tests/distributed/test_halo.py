@@ -4,21 +4,26 @@ device.
 
 from __future__ import annotations
 
+from typing import Any
+from unittest import mock
+
 import numpy as np
 import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from support.crowds import crowds
 from support.shapes import directions, tensors
 
 import pgccd
 from distributed.conftest import World
 from pgccd import ops, sim
 from pgccd.distributed import Alone, Cells, Comm
-from pgccd.distributed.detection.detect import detect_distributed
-from pgccd.distributed.detection.share import Options
+from pgccd.distributed import World as SharedWorld
+from pgccd.distributed.detection.options import Options, PartEstimates
+from pgccd.distributed.detection.share import Share, search_share
 from pgccd.distributed.partition.decomposition import Decomposition
-from pgccd.runtime.stages import StageClock
+from pgccd.motion import columns as motion_columns
 from pgccd.sim.distributed import DistributedSimulation, starting_share
 
 
@@ -69,16 +74,18 @@ def test_boxes_hold_their_bodies_and_are_tight(device: torch.device) -> None:
 def test_bad_poses_and_separations_are_named() -> None:
     model = sim.Model(sim.ModelConfig(robots=8))
     state = model.start()
-    partition, own = Cells.uniform((-1.0,) * 3, (1.0,) * 3, 1), {"id": state.id}
+    decomposition = Decomposition(Alone(), Cells.uniform((-1.0,) * 3, (1.0,) * 3, 1))
+    bodies = pgccd.MovingBodies.of(model.scene(state.id), model.motion(state), wait=False)
 
-    def build(columns: dict[str, torch.Tensor]) -> tuple[pgccd.Scene, pgccd.RigidMotion]:
-        return model.scene(columns["id"]), model.motion(state)
+    def search(options: Options) -> Share:
+        asked = decomposition, {"id": state.id}, bodies, lambda ghosts: ghosts, options, PartEstimates()
+        return search_share(*asked, beside=lambda share: None)[0]
 
     with pytest.raises(ValueError, match="^min_separation: "):
-        detect_distributed(Decomposition(Alone(), partition), own, build, Options(min_separation=-1.0), StageClock())
+        search(Options(min_separation=-1.0))
     state.position[3, 1] = torch.nan
     with pytest.raises(ValueError, match="^position: body 3|^position_t0: body 3"):
-        detect_distributed(Decomposition(Alone(), partition), own, build, Options(), StageClock())
+        search(Options())
 
 
 def test_motion_from_rotation_is_the_motion_it_was_made_of() -> None:
@@ -94,6 +101,57 @@ def test_motion_from_rotation_is_the_motion_it_was_made_of() -> None:
         pgccd.RigidMotion.from_rotation(*columns[:3], torch.tensor([[0.0], [1e7]]).expand(2, 3).repeat(25, 1).double())
     with pytest.raises(ValueError, match="^rotation: expected shape"):
         pgccd.RigidMotion.from_rotation(*columns[:3], motion.rotation[1:])
+
+
+@pytest.mark.parametrize("path", ["rigid", "linear"])
+def test_bodies_of_columns_are_those_of_scene_and_motion(path: Any) -> None:
+    """Off-centre meshes, margins and filters."""
+    crowd = crowds()["about joints outside of them"]
+    count = len(crowd.position)
+    margin = 0.01 * torch.rand(count, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+    scene = pgccd.Scene(crowd.meshes, crowd.mesh_index, margin=margin, group=torch.arange(count) % 4 + 1)
+    motion = crowd.motion(torch.arange(count))
+    motion = pgccd.RigidMotion.from_rotation(**motion.columns(), path=path)
+    bodies = pgccd.MovingBodies.of(scene, motion)
+    again = pgccd.MovingBodies.of_columns(scene.meshes, bodies.columns, path == "linear")
+    assert again.linear_path == bodies.linear_path and not scene.meshes.is_centred
+    for one, other in zip(bodies.tensors, again.tensors, strict=True):
+        assert torch.equal(one, other)
+    for one, other in zip(bodies.swept_spheres, again.swept_spheres, strict=True):
+        assert torch.equal(one, other)
+    assert torch.equal(pgccd.broad.sweep(again), pgccd.broad.sweep(bodies))
+
+
+def test_ghosts_of_the_simulation_move_as_robots() -> None:
+    model = sim.Model(sim.ModelConfig(robots=50, speed=0.3, spin=0.5))
+    partition = Cells.uniform((-1.0,) * 3, (1.0,) * 3, 1)
+    simulation = DistributedSimulation.create(Alone(), model, partition, starting_share(Alone(), model))
+    planned = model.plan(model.start(), 3)
+    found = simulation._complete(planned.moving_columns)
+    expected = model.motion(planned).columns() | {"mesh_index": model.scene(planned.id).mesh_index}
+    assert found.keys() == expected.keys()
+    for name, column in expected.items():
+        assert torch.equal(found[name], column), name
+
+
+def validations(comm: Comm) -> tuple[int, int]:
+    """How often columns of a motion are checked in a step of a `World`, and number of ghosts."""
+    mine = torch.arange(comm.rank, 60, comm.size)
+    position = torch.rand((60, 3), dtype=torch.float64, generator=torch.Generator().manual_seed(5))[mine]
+    mesh = pgccd.Mesh(0.05 * torch.eye(4, 3).double(), [[0, 1, 2], [0, 3, 1], [1, 3, 2], [0, 2, 3]])
+    world = SharedWorld.create([mesh], (0.0,) * 3, (1.0,) * 3, position, id=mine, comm=comm)
+    turn = torch.eye(4).double()[:1].repeat(len(world.id), 1)
+    motion = pgccd.RigidMotion.from_velocity(world.position, turn, turn[:, :3], turn[:, :3], dt=0.1)
+    with mock.patch.object(motion_columns, "first_faults", wraps=motion_columns._first_faults) as checked:
+        world.step(motion)
+    assert world.found is not None
+    return checked.call_count, world.found.held.ghost_count
+
+
+def test_poses_are_validated_once(ranks: World) -> None:
+    for size in (1, 2):
+        for checked, ghosts in ranks.run(size, validations):
+            assert checked == 1 and (ghosts > 0) == (size > 1)
 
 
 def spoil(comm: Comm) -> None:

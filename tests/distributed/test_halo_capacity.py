@@ -8,8 +8,6 @@ from typing import Any
 from unittest import mock
 
 import pytest
-import torch
-from torch import Tensor
 
 from distributed.conftest import World
 from distributed.test_neighbours import OneOf
@@ -17,10 +15,11 @@ from distributed.test_share import CONFIG, STEPS, by_one_process, without_times
 from pgccd import sim
 from pgccd.distributed import Cells, Comm
 from pgccd.distributed.comm.neighbourhood import Neighbourhood
-from pgccd.distributed.detection import share
-from pgccd.distributed.halo import capacity as halo_capacity
-from pgccd.distributed.halo.capacity import HaloCapacity, PaddedHalo
+from pgccd.distributed.halo import sizes as halo_sizes
+from pgccd.distributed.halo.ghosts import Halo
 from pgccd.distributed.halo.held import Held
+from pgccd.distributed.halo.sizes import HaloSizes
+from pgccd.distributed.steps import rank
 from pgccd.sim.distributed import DistributedSimulation, starting_share
 
 CAPACITIES = ["ample", "usual", "exact", "none", "boundary"]
@@ -32,30 +31,33 @@ def by_ranks(comm: Comm, capacities: str) -> tuple[list[dict[str, Any]], list[bo
     half = model.half_extent
     partition = Cells.uniform(tuple(-x for x in half), half, comm.size, cells=2)
     enough: list[bool] = []
-    wait, after = PaddedHalo.wait, HaloCapacity.after
+    wait, padded = Halo.wait, HaloSizes.padded
 
-    def watched(self: PaddedHalo, boundary_count: int) -> Held | None:
-        sent = wait(self, boundary_count)
-        enough.append(sent is not None)
-        if sent is not None:  # the rows are correct, whatever the capacity
-            assert sent.route.sent == sent.replicas.counts.tolist() and len(sent.route.rows) == sum(sent.route.sent)
-            assert len(sent.ghosts["id"]) == sum(sent.route.received) and len(sent.replicas.table) == boundary_count
-        return sent
+    def watched(self: Halo) -> Held:
+        was_padded, held = self.is_padded, wait(self)
+        if was_padded:
+            enough.append(self.is_padded)
+        if self.is_padded:  # what was counted is correct, whatever the capacity
+            received = held.ghosts_by_source().tolist()
+            sizes = self.sizes(0, received)
+            assert int((held.ghosts["id"] >= 0).sum()) == sum(received)
+            assert int((held.route.rows >= 0).sum()) == sum(sizes.sent)
+            assert int((held.boundary >= 0).sum()) == sizes.boundary
+        return held
 
-    def cramped(sent: list[int], received: list[int], boundary: int, neighbours: Neighbourhood) -> HaloCapacity:
-        """A capacity in which one rank overflows."""
-        ample = after(sent, received, boundary, neighbours)
-        return replace(ample, boundary=boundary // 2 if comm.rank == 0 else boundary)
+    def cramped(self: HaloSizes, neighbours: Neighbourhood) -> HaloSizes:
+        """Capacities in which one rank overflows."""
+        return replace(padded(self, neighbours), boundary=self.boundary // 2 if comm.rank == 0 else self.boundary)
 
     functions = {"ample": lambda count: 4 * count + 500, "exact": lambda count: count, "none": lambda _: 0}
     patches = [
-        mock.patch.object(share, "_sends_ahead", lambda comm, _: comm.size > 1),
-        mock.patch.object(PaddedHalo, "wait", watched),
+        mock.patch.object(rank, "sends_ahead", lambda comm, *_: comm.size > 1),
+        mock.patch.object(Halo, "wait", watched),
     ]
     if capacities in functions:
-        patches.append(mock.patch.object(halo_capacity, "padded_count", functions[capacities]))
+        patches.append(mock.patch.object(halo_sizes, "padded_count", functions[capacities]))
     if capacities == "boundary":
-        patches.append(mock.patch.object(HaloCapacity, "after", cramped))
+        patches.append(mock.patch.object(HaloSizes, "padded", cramped))
     with ExitStack() as stack:
         for patch in patches:
             stack.enter_context(patch)
@@ -85,7 +87,7 @@ def test_same_bits_for_any_capacity(world: World, capacities: str) -> None:
 
 def test_capacity_exceeds_what_was_needed() -> None:
     neighbours = Neighbourhood(OneOf(5, 40), [2, 5, 7, 9])
-    capacity = HaloCapacity.after([0, 0, 1, 1000, 0], [3, 0, 0, 5_000_000, 0], 12, neighbours)
+    capacity = HaloSizes(neighbours, [0, 0, 1, 1000, 0], [3, 0, 0, 5_000_000, 0], 12, 7).padded(neighbours)
     for column in (capacity.sent, capacity.received):
         assert column[1] == 0 and column[-1] == 0  # this rank, and all that are not neighbours
     for size, count in zip(
@@ -94,9 +96,14 @@ def test_capacity_exceeds_what_was_needed() -> None:
         strict=True,
     ):
         assert max(1, 1.25 * count) <= size <= 1.25 * count + 320
+    assert capacity.near >= 14
 
 
-def test_what_filled_the_capacities() -> None:
-    rows: Tensor = torch.arange(9)
-    assert halo_capacity._filled(rows, [3, 0, 4, 2], [1, 0, 4, 0]).tolist() == [0, 3, 4, 5, 6]
-    assert halo_capacity._filled(rows, [3, 0, 4, 2], [0, 0, 0, 0]).tolist() == []
+def test_sizes_follow_their_neighbours() -> None:
+    former, later = (Neighbourhood(OneOf(5, 40), ranks) for ranks in ([2, 5, 7], [2, 3, 5, 7]))
+    sizes = HaloSizes(former, [20, 0, 70, 0], [21, 0, 71, 0], 9, 8, [22, 0, 72, 0]).renumbered(later)
+    assert (sizes.sent, sizes.received, sizes.common) == (
+        [20, 0, 0, 70, 0],
+        [21, 0, 0, 71, 0],
+        [22, 0, 0, 72, 0],
+    )

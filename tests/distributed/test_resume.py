@@ -24,8 +24,8 @@ from pgccd.distributed.partition.cut import PARTITIONS, make_partition
 from pgccd.sim.checkpoint import require_checkpoint
 from pgccd.sim.distributed import DistributedOptions, DistributedSimulation, resume, run, runner
 from pgccd.sim.distributed.runner import load_robots
+from pgccd.sim.pictures import write_pictures
 from pgccd.sim.response import respond
-from pgccd.sim.summary import write_pictures
 
 CONFIG = sim.ModelConfig(robots=240, pattern="skewed", speed=0.25, seed=5)
 

@@ -81,7 +81,7 @@ def by_ranks(comm: Comm, capacity: str) -> tuple[list[dict[str, Any]], int, int]
         made = [simulation.step(index) for index in range(STEPS)]
     records = [without_times(step.record) for step in made]
     for step in made:
-        found = step.detection
+        found = step.share
         assert len(found.pairs) == step.record["ranks"]["pcs"][comm.rank] and bool((found.pairs >= 0).all())
     return records, renewed, searched
 

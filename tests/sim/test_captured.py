@@ -105,7 +105,7 @@ def test_a_step_that_fails_changes_nothing(device: torch.device, graphs: list[St
     assert without_times(committed.record) == without_times(made.record)
     # It continues from there; so does the failed one once its state is loaded.
     following = make_step(model, scene, state, index + 1, plan=plan)
-    graph.load(state, index + 1)
+    graph.load(state.columns, index + 1)
     for each in (graph, enough):
         committed = each.replay().read(index + 1)
         assert (committed is not None) == (following.resolution.rounds <= each.rounds)
@@ -166,7 +166,7 @@ def test_rounds_that_no_recent_step_needed(
     model = Model(ModelConfig(**FAST | {"speed": 0.02, "spin": 0.0}), device=device)
     expected, last = launch_by_launch(model, STEPS)
     maker = StepMaker(model, model.start(), graph=True)
-    maker._rounds = maker._rounds.__class__([3], maxlen=6)  # as if there had been more rounds
+    maker._recent.note(3)  # as if there had been more rounds
     for index in range(STEPS):
         assert without_times(maker.step(index, STEPS - 1 - index).record) == expected[index]
     most = max(record["resolution_rounds"] for record in expected)

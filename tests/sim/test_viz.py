@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from pgccd import sim, viz
-from pgccd.sim.summary import write_pictures
+from pgccd.sim.pictures import write_pictures
 from pgccd.viz.raster import Camera, Canvas
 
 
@@ -23,7 +23,7 @@ def snapshot() -> viz.Snapshot:
     for index in range(12):
         step = sim.make_step(model, scene, state, index)
         state = step.after
-    return viz.Snapshot.of_step(model, step, ["A <title>", "figures"])
+    return sim.snapshot_of_step(model, step, ["A <title>", "figures"])
 
 
 def test_canvas_draws_the_nearer_of_two_triangles_where_it_is() -> None:
@@ -84,7 +84,7 @@ def test_page_is_self_contained_and_holds_all_robots(snapshot: viz.Snapshot, tmp
 
 def test_a_world_between_steps_has_pictures_too(tmp_path: Path) -> None:
     model = sim.Model(sim.ModelConfig(robots=3))
-    still = viz.Snapshot.of_state(model, model.start())
+    still = sim.snapshot_of_state(model, model.start())
     assert viz.world_page(tmp_path / "world.html", still).stat().st_size > 10_000
     pytest.importorskip("matplotlib")
     assert viz.world_picture(tmp_path / "world.png", still).stat().st_size > 10_000

@@ -12,10 +12,10 @@ from pgccd.detection.contacts import CollidingPairs, Contacts, earliest_row
 from pgccd.detection.trajectories import TrajectoryContacts
 from pgccd.distributed.comm.exchange import Columns, first_row, make_route, take_rows
 from pgccd.distributed.comm.interface import Comm
-from pgccd.distributed.detection.detect import Detection
+from pgccd.distributed.detection.share import Share
 
 
-def tell_owners(found: Detection) -> Contacts | CollidingPairs:
+def tell_owners(found: Share) -> Contacts | CollidingPairs:
     """All contacts of the bodies that this rank owns, in global ids, sorted by id. Both owners of a pair are neighbours
     of the rank that tested it: they sent it ghosts.
 
@@ -32,7 +32,7 @@ def tell_owners(found: Detection) -> Contacts | CollidingPairs:
     return type(found.contacts)(**ordered, stats=found.contacts.stats)
 
 
-def earliest_for_all(comm: Comm, found: Detection, ids: int | None = None) -> Contacts:
+def earliest_for_all(comm: Comm, found: Share, ids: int | None = None) -> Contacts:
     """The first contact of the scene, on every rank; ties are broken by the smallest pair.
 
     Args:
@@ -53,7 +53,7 @@ def earliest_for_all(comm: Comm, found: Detection, ids: int | None = None) -> Co
     return earliest
 
 
-def _in_global_ids(found: Detection) -> Columns:
+def _in_global_ids(found: Share) -> Columns:
     return found.contacts.columns | {"pairs": found.held.id[found.contacts.pairs]}
 
 

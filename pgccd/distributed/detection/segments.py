@@ -12,8 +12,8 @@ from pgccd.detection.contacts import CollidingPairs, Contacts
 from pgccd.detection.trajectories import TrajectoryContacts, time_along
 from pgccd.distributed.comm.exchange import Columns
 from pgccd.distributed.comm.interface import Comm
-from pgccd.distributed.detection.detect import Detection
 from pgccd.distributed.detection.report import earliest_for_all, tell_owners
+from pgccd.distributed.detection.share import Share
 
 _MOST_WORLDS, _MOST_IDS = 2**31, 2**62
 
@@ -55,7 +55,7 @@ class Segments:
         return columns
 
     def contacts_for_owners(
-        self, comm: Comm, found: Detection, report: narrow.Report
+        self, comm: Comm, found: Share, report: narrow.Report
     ) -> TrajectoryContacts | CollidingPairs:
         """The contacts of the bodies that this rank owns, as `pgccd.detect` returns them for a trajectory.
 

@@ -8,252 +8,238 @@ concurrently with that search.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeVar
 
 import torch
 from torch import Tensor
 
-from pgccd import arguments, ops
-from pgccd.detection import broad, narrow
+from pgccd import ops
 from pgccd.detection.bodies import MovingBodies
-from pgccd.detection.checks import Initial, check_separation, operator_tolerance
-from pgccd.detection.memory import CapacityEstimate
-from pgccd.detection.parts import Part, find_part, first_contacts_of, pairs_of_step
-from pgccd.detection.query import Query
+from pgccd.detection.contacts import CollidingPairs, Contacts
+from pgccd.detection.parts import PART_SLACK, Part, contacts_of_step, find_part, first_contacts_of
 from pgccd.distributed.comm.exchange import Columns
-from pgccd.distributed.comm.interface import Comm
-from pgccd.distributed.detection.body_columns import bodies_of, of_checked, take_bodies
-from pgccd.distributed.halo.capacity import HaloCapacity
-from pgccd.distributed.halo.centres import Centres, centres_of
+from pgccd.distributed.detection.options import Options, PartEstimates
 from pgccd.distributed.halo.ghosts import Halo
 from pgccd.distributed.halo.held import Held
+from pgccd.distributed.halo.sizes import HaloSizes
 from pgccd.distributed.halo.vertices import Vertices, vertex_counts
 from pgccd.distributed.partition.decomposition import Decomposition
-from pgccd.geometry.scene import Scene
-from pgccd.motion.paths import RigidMotion, VertexMotion
+from pgccd.distributed.partition.rebalancing import Places
 from pgccd.runtime.host_copy import HostCopy
 from pgccd.runtime.side_stream import SideStream
 from pgccd.runtime.stages import StageClock
 
 T = TypeVar("T")
 
-#: From columns of bodies to their scene and motion, bitwise equal on every rank that holds a body. For deforming bodies
-#: the columns include those of their vertices.
-Build = Callable[[Columns], tuple[Scene, RigidMotion | VertexMotion]]
+#: From columns of bodies as sent between ranks to those of `MovingBodies.of_columns`.
+Complete = Callable[[Columns], Columns]
 
 
-#: A function of the held bodies, the centres of ghosts (of all bodies on a single rank), min_separation and tolerance
-#: as the operators take them, and the decomposition.
-OfHeld = Callable[[Held, Centres, tuple[float, float], Decomposition], T]
-
-
-@dataclass(frozen=True)
-class Options:
-    """Options of `pgccd.detect`, and how to run it."""
-
-    report: narrow.Report = "first"
-    min_separation: float = 0.0
-    tolerance: float | None = None
-    nonzero_toi: bool = False
-    broad_phase: broad.BroadPhase = "auto"
-    #: Whether pairs of own bodies are searched while ghosts are sent. The result does not depend on it.
-    overlap: bool = True
-    initial: Initial = "report"
-
-    def check(self) -> None:
-        """Raises TypeError or ValueError, naming the option, if one is invalid."""
-        arguments.choice(self.report, "report", narrow.REPORTS)
-        _ = self.query  # checks its own
-        arguments.choice(self.broad_phase, "broad_phase", broad.BROAD_PHASES)
-        arguments.flag(self.overlap, "overlap")
-
-    @property
-    def query(self) -> Query:
-        """The options of each part."""
-        # Rows are not in the order of ids, which breaks ties.
-        report: narrow.Report = "first" if self.report == "earliest" else self.report
-        return Query(report, self.min_separation, self.tolerance, self.nonzero_toi, self.initial)
-
-
-@dataclass
-class PartEstimates:
-    """Capacity estimates of the parts; owned by a simulation or `World`."""
-
-    own: CapacityEstimate = field(default_factory=CapacityEstimate)
-    with_ghosts: CapacityEstimate = field(default_factory=CapacityEstimate)
-
-
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class Share:
-    """One rank's share of a step: pairs of own bodies and, with several ranks, pairs with ghosts or at the boundary."""
+    """One rank's share of a step: pairs of own bodies and, with several ranks, pairs with ghosts or at the boundary.
+    All pairs of bodies are in the shares of all ranks, each in one.
+    """
 
     held: Held
-    parts: list[Part]
+    parts: list[Part]  #: being searched
     ghosts: MovingBodies | None  #: None on a single rank
-    kept: tuple[float, float]  #: min_separation and tolerance, as the operators take them
+    options: Options
+    #: (1,) int64: nonzero if there were more bodies than the given sizes on this rank, and pairs may be missing.
+    overflow: Tensor
+    sizes: HaloSizes | None  #: exact numbers of bodies; None if nothing was to synchronise
 
     @property
+    def body_count(self) -> int:
+        """Number of held bodies, without padding."""
+        assert self.sizes is not None
+        return self.held.own_count + sum(self.sizes.received)
+
+    @cached_property
     def pairs(self) -> Tensor:
-        """(P, 2) int64: the PCS as rows of the held bodies, the one with the smaller id first; rows of -1 may be
-        anywhere.
-        """
-        return pairs_of_step(self.parts)
+        """(P, 2) int64: the PCS as rows of the held bodies, the one with the smaller id first. Synchronises."""
+        return torch.cat([part.in_step(_pairs_of(part)) for part in self.parts])
+
+    @cached_property
+    def contacts(self) -> Contacts | CollidingPairs:
+        """The contacts of these pairs, as rows of the held bodies; the first one for "earliest". Synchronises."""
+        found = contacts_of_step(self.parts)
+        if self.options.report == "earliest" and isinstance(found, Contacts):
+            found = found.earliest(*self.held.id[found.pairs].unbind(dim=1))
+        return replace(found, stats=replace(found.stats, bodies=self.body_count))
 
     def first_contacts(self) -> tuple[Tensor, Tensor]:
         """Pairs (K, 2) as rows of the held bodies, and toi (K,), of all parts: see `Part.first_contacts`."""
         return first_contacts_of(self.parts)
 
+    def places(self) -> Places:
+        """The positions of the work. Synchronises."""
+        kept = self.options.kept
+        lower = [ops.swept_boxes(*part.bodies.swept_spheres, *kept)[0] for part in self.parts]
+        of_pairs = [_corners(corner, _pairs_of(part)) for part, corner in zip(self.parts, lower, strict=True)]
+        of_contacts = [_corners(at, part.find().pairs) for part, at in zip(self.parts, lower, strict=True)]
+        return Places(self.parts[0].bodies.position_t0, torch.cat(of_pairs), torch.cat(of_contacts))
 
-class OwnSearch:
-    """The part of one rank's step that needs no ghosts: finds the pairs of its own bodies and starts their search.
 
-    On a GPU this does not synchronise if the capacity for pairs can be estimated; otherwise ghosts are sent first.
+def _pairs_of(part: Part) -> Tensor:
+    return part.pairs[: part.find().stats.pcs]
+
+
+def _corners(lower: Tensor, pairs: Tensor) -> Tensor:
+    return torch.maximum(lower[pairs[:, 0]], lower[pairs[:, 1]])
+
+
+def search_share(
+    decomposition: Decomposition,
+    own: Columns,
+    bodies: MovingBodies,
+    complete: Complete,
+    options: Options,
+    estimates: PartEstimates,
+    *,
+    beside: Callable[[Share], T],
+    sizes: HaloSizes | None = None,
+    synchronises: bool = True,
+    vertices: Vertices | None = None,
+    clock: StageClock | None = None,
+    discard: Tensor | None = None,
+    slack: float = PART_SLACK,
+) -> tuple[Share, T]:
+    """Sends ghosts, and starts the search of this rank's share of pairs.
 
     Args:
         decomposition: of space.
-        own: columns of this rank's own bodies, "id" ascending; these columns are sent for ghosts.
-        build: makes scene and motion from columns.
+        own: columns of this rank's own bodies, "id" ascending, that are sent for ghosts.
+        bodies: the own bodies, made with `wait=False`.
+        complete: given the columns of ghosts, which their owners have validated, those of their scene and motion,
+            bitwise equal to what the owner has. Deforming bodies have those of their vertices besides.
         options: of the detection.
-        clock: records stage times.
         estimates: of the capacities of parts.
-        capacity: of the halo, if it can be estimated; the same on all ranks. On GPUs ghosts are then sent without
-            exchanging counts first.
-        vertices: of the own bodies, if they deform.
+        beside: given the share, enqueues work that runs concurrently with the search of own pairs.
+        sizes: capacities of messages, whose unused rows are padding: see `Halo`. By default ranks agree on exact sizes.
+        synchronises: False: sizes are given, for a graph. If messages are sent on the stream, nothing synchronises
+            then; rows of `own` with id -1, of a negative radius in `bodies`, are padding; the result is incomplete if
+            there is `Share.overflow` or a pose is invalid.
+        vertices: of the own bodies, if they deform; sizes are exact then.
+        clock: records stage times.
+        discard, slack: see `find_part`.
+
+    Returns:
+        The share, and the result of `beside`.
 
     Raises:
-        ValueError: a pose is invalid.
+        ValueError: if it synchronises: a pose is invalid.
 
     Example:
-        >>> search = OwnSearch(decomposition, own, build, Options(), StageClock(), PartEstimates())
-        >>> share = search.start().with_ghosts()
+        >>> asked = decomposition, own, bodies, lambda ghosts: ghosts, Options(), PartEstimates()
+        >>> share, _ = search_share(*asked, beside=lambda share: None)
+        >>> share.contacts
     """
+    comm, device, kept = decomposition.comm, bodies.device, options.kept
 
-    def __init__(
-        self,
-        decomposition: Decomposition,
-        own: Columns,
-        build: Build,
-        options: Options,
-        clock: StageClock,
-        estimates: PartEstimates,
-        capacity: HaloCapacity | None = None,
-        vertices: Vertices | None = None,
-    ) -> None:
-        self._vertices = vertices
-        self._decomposition, self._comm = decomposition, decomposition.comm
-        self._own, self._build = own, build
-        self._options, self._clock, self._estimates = options, clock, estimates
-        self._capacity = capacity
-        self._kept = check_separation(options.min_separation), operator_tolerance(options.tolerance)
+    def stage(name: str) -> AbstractContextManager[None]:
+        return nullcontext() if clock is None else clock.stage(name)
 
-    def start(self) -> OwnSearch:
-        """Computes the motion, sends ghosts, and starts the search of pairs of own bodies."""
-        with self._clock.stage("plan"):
-            own = self._own if self._vertices is None else {**self._own, **self._vertices.columns}
-            self._bodies = MovingBodies.of(*self._build(own), wait=False)
-        with self._clock.stage("halo"):
-            self._halo = Halo(self._decomposition, self._own, self._bodies, self._kept)
-            self._halo.find_boundary()
-        self._side = SideStream(self._bodies.device, self._options.overlap and self._comm.size > 1)
-        if self._comm.size > 1:
-            self._send_ghosts()
-        self._find_own_pairs()
-        return self
+    halo = Halo(decomposition, own, bodies, kept, sizes, synchronises)
+    side = SideStream(device, options.overlap and comm.size > 1)
+    with stage("halo"):
+        halo.find_boundary()
+    if comm.size > 1 and not (sizes is None and side.is_apart):  # exact sizes synchronise: own pairs are searched first
+        with side, stage("halo"):
+            halo.send()
+    if not options.overlap:
+        with stage("halo wait"):
+            halo.wait()
+    asked = options.query, options.broad_phase
+    with stage("broad"):
+        elsewhere = halo.reach if comm.size > 1 else None
+        own_part = find_part(bodies, *asked, None, discard, None, estimates.own, slack, elsewhere)
+    own_pairs_found = side.mark()
+    own_part.begin()
+    with side, stage("halo wait"):
+        held = halo.wait()
+    if comm.size == 1:
+        alone = halo.sizes(0, [0]) if synchronises else None
+        share = Share(held, [own_part], None, options, halo.overflow, alone)
+        return share, beside(share)
+    where = *kept, *decomposition.subdomain
+    with side:
+        with stage("halo"):
+            ghost_vertices = _vertices_of_ghosts(vertices, held, bodies)
+            ghosts = _ghosts(held, complete, ghost_vertices, bodies, halo.is_padded)
+            near, near_count = ops.near_ghosts(bodies.swept_spheres, halo.reach, ghosts.swept_spheres, *where)
+            overflow, exact = halo.overflow, None
+            if synchronises:
+                numbers = [near_count, held.ghosts_by_source()] if halo.is_padded else [near_count]
+                count, *received = HostCopy.start(torch.cat(numbers)).numpy().tolist()
+                near, exact = near[:count], halo.sizes(count, received or held.route.received)
+            else:
+                assert sizes is not None
+                overflow = overflow + (near_count > sizes.near)
+                near = _first_rows(near[: sizes.near], near_count)
+            rows = torch.cat([near, torch.arange(held.own_count, len(held), device=device)])
+            both = None
+            if vertices is not None and ghost_vertices is not None:
+                both = Vertices.join(vertices, ghost_vertices).take(rows)
+            at_boundary = _at_boundary(bodies, ghosts, rows, both, is_padded=not synchronises)
 
-    def _send_ghosts(self) -> None:
-        with self._side, self._clock.stage("halo"):
-            if self._capacity is not None and _sends_ahead(self._comm, self._side):
-                self._halo.send_padded(self._capacity)
-            elif not self._side.is_apart:  # otherwise sent after the own search has started, since sending synchronises
-                self._halo.send()
-        if not self._options.overlap:
-            _ = self._held  # waits for ghosts now
+            def owned(pairs: Tensor) -> tuple[Tensor, Tensor]:
+                of_cells = *kept, halo.reach, *decomposition.subdomain
+                return ops.owned_pairs(pairs, rows, held.id, at_boundary.swept_spheres, *of_cells)
 
-    def _find_own_pairs(self) -> None:
-        with self._clock.stage("broad"):
-            asked = self._options.query, self._options.broad_phase
-            elsewhere = self._halo.reach if self._comm.size > 1 else None
-            self._part = find_part(self._bodies, *asked, estimate=self._estimates.own, elsewhere=elsewhere)
-        self._part.begin()
-
-    @cached_property
-    def _held(self) -> Held:
-        """The held bodies. Waits for ghosts."""
-        with self._side, self._clock.stage("halo wait"):
-            return self._halo.wait()
-
-    @cached_property
-    def _ghost_vertices(self) -> Vertices | None:
-        """Vertices of ghosts, if the bodies deform. Waits for them."""
-        if self._vertices is None:
-            return None
-        held, meshes = self._held, self._bodies.scene.meshes
-        return self._vertices.send(held.route, vertex_counts(meshes, held.ghosts["mesh_index"]))
-
-    @cached_property
-    def _ghosts(self) -> MovingBodies:
-        with self._side, self._clock.stage("halo"):
-            ghosts, vertices = self._held.ghosts, self._ghost_vertices
-            return of_checked(*self._build(ghosts if vertices is None else {**ghosts, **vertices.columns}))
-
-    @cached_property
-    def _near(self) -> tuple[Tensor, HostCopy]:
-        """Rows of own bodies near ghosts or at the boundary, and their number.
-
-        If this rank tests a ghost against an own body, both reach a common cell, in which the body's box overlaps the
-        box around all ghosts. Pairs of two bodies that reach other ranks are found together with those of ghosts.
-        """
-        where = *self._kept, *self._decomposition.subdomain
-        own, ghosts = centres_of(self._bodies), centres_of(self._ghosts)
-        with self._side, self._clock.stage("halo"):
-            near, found = ops.near_ghosts(own, self._halo.reach, ghosts, *where)
-            return near, HostCopy.start(found)
-
-    def of_held(self, make: OfHeld[T]) -> T:
-        """The result of a function that runs concurrently with the search. Waits for ghosts."""
-        held, centres = self._held, centres_of(self._bodies if self._comm.size == 1 else self._ghosts)
-        if self._comm.size > 1:
-            _ = self._near  # started first, so that its count is available later
-        with self._side, self._clock.stage("halo"):
-            return make(held, centres, self._kept, self._decomposition)
-
-    def with_ghosts(self) -> Share:
-        """The whole share: waits for ghosts, and starts the search of pairs with them."""
-        options = self._options
-        if self._comm.size == 1:
-            return Share(self._held, [self._part], None, self._kept)
-        held, ghosts, (near, near_count) = self._held, self._ghosts, self._near
-        where = *self._kept, self._halo.reach, *self._decomposition.subdomain
-        with self._side:
-            with self._clock.stage("halo"):
-                rows = _with_ghosts(near[: int(near_count.numpy()[0])], held)
-                columns = take_bodies(self._bodies, ghosts, rows)
-                at_boundary = bodies_of(self._bodies, columns, self._vertices_of(rows))
-
-                def owned(pairs: Tensor) -> tuple[Tensor, Tensor]:
-                    return ops.owned_pairs(pairs, rows, held.id, centres_of(at_boundary), *where)
-
-                find = options.query, options.broad_phase, owned
-                with_ghosts = find_part(at_boundary, *find, rows=rows, estimate=self._estimates.with_ghosts)
-            with self._side.sharing():
-                with_ghosts.begin()
-        self._side.join()
-        return Share(held, [self._part, with_ghosts], ghosts, self._kept)
-
-    def _vertices_of(self, rows: Tensor) -> Vertices | None:
-        """Vertices of held bodies (B,), if they deform."""
-        if self._vertices is None or self._ghost_vertices is None:
-            return None
-        return Vertices.join(self._vertices, self._ghost_vertices).take(rows)
+            with_ghosts = find_part(at_boundary, *asked, owned, discard, rows, estimates.with_ghosts, slack)
+        with side.sharing():
+            with_ghosts.begin()
+        with stage("halo"):
+            side.wait(own_pairs_found)
+            share = Share(held, [own_part, with_ghosts], ghosts, options, overflow, exact)
+            made = beside(share)
+    side.join()
+    return share, made
 
 
-def _sends_ahead(comm: Comm, side: SideStream) -> bool:
-    """Whether ghosts can be sent without waiting for their number."""
-    return side.is_apart and comm.goes_with_the_stream
+def _vertices_of_ghosts(vertices: Vertices | None, held: Held, bodies: MovingBodies) -> Vertices | None:
+    """Vertices of ghosts, if the bodies deform. Waits for them."""
+    if vertices is None:
+        return None
+    return vertices.send(held.route, vertex_counts(bodies.scene.meshes, held.ghosts["mesh_index"]))
 
 
-def _with_ghosts(near: Tensor, held: Held) -> Tensor:
-    """(B,) int64: rows of own bodies near ghosts or at the boundary, then of all ghosts."""
-    return torch.cat([near, torch.arange(held.own_count, len(held), device=near.device)])
+def _ghosts(
+    held: Held, complete: Complete, vertices: Vertices | None, bodies: MovingBodies, is_padded: bool
+) -> MovingBodies:
+    columns = complete(held.ghosts) | ({} if vertices is None else vertices.columns)
+    meshes = bodies.scene.meshes
+    if is_padded:
+        columns["radius"] = meshes.radius.index_select(0, columns["mesh_index"])
+        _leave_out(columns, held.ghosts["id"] < 0)
+    return MovingBodies.of_columns(meshes, columns, bodies.linear_path)
+
+
+def _at_boundary(
+    bodies: MovingBodies, ghosts: MovingBodies, rows: Tensor, vertices: Vertices | None, is_padded: bool
+) -> MovingBodies:
+    """Some of the held bodies: `rows` (B,) of own bodies, -1 for padding, then of ghosts."""
+    own, more = bodies.columns, ghosts.columns
+    columns = dict(zip(own, ops.take_rows(list(own.values()), [more[name] for name in own], rows), strict=True))
+    if is_padded:
+        _leave_out(columns, rows < 0)
+    columns |= {} if vertices is None else vertices.columns
+    return MovingBodies.of_columns(bodies.scene.meshes, columns, bodies.linear_path)
+
+
+def _leave_out(columns: Columns, is_padding: Tensor) -> None:
+    """Makes rows of zeros (N,) bodies that no pair contains: of negative radius, in a valid pose. A pose without a unit
+    quaternion has no swept sphere: the NaN that is computed instead would not be left out by broad phases, and hide
+    pairs of others.
+    """
+    columns["radius"] = columns["radius"].masked_fill(is_padding, -torch.inf)
+    columns["orientation_t0"][:, 0].masked_fill_(is_padding, 1.0)
+
+
+def _first_rows(rows: Tensor, count: Tensor) -> Tensor:
+    """The first `count` (1,) of rows (K,), then -1."""
+    return torch.where(torch.arange(len(rows), device=rows.device) < count, rows, -1)

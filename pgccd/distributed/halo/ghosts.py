@@ -17,24 +17,28 @@ from torch import Tensor
 
 from pgccd import ops
 from pgccd.detection.bodies import MovingBodies
-from pgccd.distributed.comm.exchange import Columns, Route
+from pgccd.distributed.comm.exchange import Route, unpack
 from pgccd.distributed.comm.interface import Pending
-from pgccd.distributed.halo.capacity import HaloCapacity, PaddedHalo
-from pgccd.distributed.halo.centres import centres_of
 from pgccd.distributed.halo.held import Held
-from pgccd.distributed.halo.replicas import agreed_replicas
+from pgccd.distributed.halo.replicas import Replicas, agreed_replicas, find_replicas
+from pgccd.distributed.halo.sizes import HaloSizes
 from pgccd.distributed.partition.decomposition import Decomposition
+from pgccd.runtime.attempts import TooSmall, until_it_fits
 from pgccd.runtime.host_copy import HostCopy
 
 
 class Halo:
-    """The ghosts of one step: `find_boundary`, then `send` or `send_padded`, then `wait`.
+    """The ghosts of one step: `find_boundary`, then `send`, then `wait`.
 
     Args:
         decomposition: of space.
-        own: columns of this rank's own bodies to send, "id" ascending.
+        own: columns of this rank's own bodies to send, "id" ascending; rows with id -1 may follow.
         bodies: the own bodies and their motion, not validated yet.
         kept: min_separation and tolerance, as the operators take them.
+        sizes: capacities of the messages, in which unused rows are padding: ghosts of zeros, with id -1. `send` does
+            not synchronise then, if messages are sent on the stream. Default: exact sizes, on which ranks agree.
+        synchronises: whether `wait` validates the bodies, and sends ghosts again, with exact sizes, if a rank has more
+            than `sizes`. Otherwise nothing synchronises, and ghosts are missing where there is `overflow`.
     """
 
     def __init__(
@@ -43,67 +47,100 @@ class Halo:
         own: Mapping[str, Tensor],
         bodies: MovingBodies,
         kept: tuple[float, float],
+        sizes: HaloSizes | None = None,
+        synchronises: bool = True,
     ) -> None:
         self._decomposition, self._own, self._bodies = decomposition, dict(own), bodies
+        self._sizes, self._synchronises = sizes, synchronises
         self._is_alone = decomposition.comm.size == 1
-        self._where = centres_of(bodies), kept
+        self._where = bodies.swept_spheres, kept
         none_of_them = own["id"][:0]
         #: (N,) uint8: 1 for own bodies that reach cells of other ranks.
         self.reach = none_of_them.to(torch.uint8)
-        #: (B,) int64: rows of these bodies.
-        self._boundary = none_of_them
-        self._arrival: Pending[Columns] | None = None
-        self._padded: PaddedHalo | None = None
+        #: (1,) int64: 1 if a capacity was exceeded, or a body reaches a rank that is not a neighbour; else 0.
+        self.overflow = none_of_them.new_zeros(1)
+        # (N,) int64: rows of the bodies at the boundary, then -1; and their number, (1,).
+        self._boundary, self._count = none_of_them, self.overflow
+        self._pending: Pending[Tensor] | None = None
+        self._held: Held | None = None
+
+    @property
+    def is_padded(self) -> bool:
+        """Whether there may be padding among the ghosts."""
+        return self._sizes is not None
 
     def find_boundary(self) -> None:
         """Finds the bodies that other ranks need. Does not synchronise."""
-        found = self._bodies._first_faults()
         if not self._is_alone:
             centres, kept = self._where
             where = *kept, *self._decomposition.subdomain
             self.reach, self._boundary, self._count = ops.boundary_bodies(centres, *where)
-            found = torch.cat([self._count, found])
-        self._found = HostCopy.start(found)
-
-    def check(self) -> None:
-        """Reads the count of boundary bodies and the faults. Synchronises.
-
-        Raises:
-            ValueError: a pose is invalid.
-        """
-        if self._bodies.checked:
-            return
-        count, *faults = ([0] if self._is_alone else []) + self._found.numpy().tolist()
-        self._bodies._raise_faults(faults)
-        self._bodies.checked = True
-        self._boundary = self._boundary[:count]
-
-    def send_padded(self, capacity: HaloCapacity) -> None:
-        """Sends ghosts without synchronising. If the capacity of a rank is exceeded, `wait` sends them again."""
-        bodies = self._own, *self._where, self._boundary, self._count
-        self._padded = PaddedHalo(self._decomposition, capacity, *bodies).start()
-        self._padded.announce()
-        self._padded.send()
+        if self._synchronises:
+            self._found = HostCopy.start(torch.cat([self._count, self._bodies._first_faults()]))
 
     def send(self) -> None:
-        """Sends ghosts after exchanging counts. Validates the bodies first, if not done yet."""
-        self.check()
-        self._replicas = agreed_replicas(self._decomposition, *self._where, self._boundary)
-        neighbours = self._decomposition.neighbours
-        sent, received = neighbours.agree(self._replicas.counts)
-        self._route = Route(neighbours, self._replicas.rows_by_rank(self._boundary, sent), sent, received)
-        self._arrival = self._route.forward(self._own)
+        """Sends ghosts. With exact sizes this validates the bodies, agrees with other ranks, and synchronises."""
+        if self._sizes is None:
+            rows = self._boundary[: self._check()]
+            replicas = agreed_replicas(self._decomposition, *self._where, rows)
+            sent, received = self._decomposition.neighbours.agree(replicas.counts)
+        else:
+            sent, received, capacity = self._sizes.sent, self._sizes.received, self._sizes.boundary
+            rows = self._boundary[:capacity]
+            replicas = find_replicas(self._decomposition, *self._where, rows)
+            self.overflow = replicas.overflow(sent, self._count, capacity)
+            if self._synchronises:
+                overflows = self._decomposition.comm.sum(self.overflow)
+                self._sent = HostCopy.start(torch.cat([overflows, replicas.counts]))
+        self._at_boundary = rows, replicas
+        self._route = Route(self._decomposition.neighbours, replicas.rows_by_rank(rows, sent), sent, received)
+        # Ids plus one, since padding is zeros.
+        self._pending = self._route.send(self._own | {"id": self._own["id"] + 1})
 
     def wait(self) -> Held:
-        """The held bodies, once all ghosts have arrived. Sends ghosts first, if not done yet."""
-        self.check()
-        if self._is_alone:
-            return Held.alone(self._decomposition.neighbours, self._own)
-        if self._padded is not None:
-            held, self._padded = self._padded.wait(len(self._boundary)), None
-            if held is not None:
-                return held
-        if self._arrival is None:
+        """The held bodies, once all ghosts have arrived. Sends ghosts first, if not done yet.
+
+        Raises:
+            ValueError: if it `synchronises`: a pose is invalid.
+        """
+        if self._held is None:
+            if self._synchronises:
+                self._check()
+            self._held = self._alone() if self._is_alone else until_it_fits(self._arrived, self._sizes)
+        return self._held
+
+    def _arrived(self, sizes: HaloSizes | None) -> Held | TooSmall[HaloSizes | None]:
+        if self._pending is None:
+            self._sizes = sizes
             self.send()
-        assert self._arrival is not None
-        return Held(self._own["id"], self._arrival.wait(), self._route, self._boundary, self._replicas)
+        assert self._pending is not None
+        packed, self._pending = self._pending.wait(), None
+        if sizes is not None and self._synchronises and self._sent.numpy()[0]:
+            return TooSmall(None)
+        ghosts = unpack(packed, self._own)
+        ghosts["id"] = ghosts["id"] - 1
+        return Held(self._own["id"], ghosts, self._route, *self._at_boundary)
+
+    def _alone(self) -> Held:
+        none = Replicas(self._boundary.new_empty((0, 1), dtype=torch.uint8), self._count)
+        ghosts = {name: column[:0] for name, column in self._own.items()}
+        self._route = Route(self._decomposition.neighbours, self._boundary, [0], [0])
+        return Held(self._own["id"], ghosts, self._route, self._boundary, none)
+
+    def sizes(self, near: int, received: list[int]) -> HaloSizes:
+        """The numbers of bodies of this step, if it `synchronises`, after `wait`.
+
+        Args:
+            near: number of own bodies near ghosts or at the boundary.
+            received: number of ghosts from each neighbour.
+        """
+        sent = self._route.sent if self._sizes is None else self._sent.numpy()[1:].tolist()
+        return HaloSizes(self._route.neighbours, sent, received, self._check(), near)
+
+    def _check(self) -> int:
+        """Validates the bodies, and returns the number of those at the boundary. Synchronises."""
+        count, *faults = self._found.numpy().tolist()
+        if not self._bodies.checked:
+            self._bodies._raise_faults(faults)
+            self._bodies.checked = True
+        return count

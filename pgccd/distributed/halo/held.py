@@ -9,7 +9,6 @@ import torch
 from torch import Tensor
 
 from pgccd.distributed.comm.exchange import Columns, Route
-from pgccd.distributed.comm.neighbourhood import Neighbourhood
 from pgccd.distributed.halo.replicas import Replicas
 
 
@@ -18,17 +17,12 @@ class Held:
     """The bodies a rank holds for one step: rows 0 to N - 1 are its own, rows N to N + G - 1 ghosts."""
 
     own_id: Tensor  #: (N,) int64, ascending
-    ghosts: Columns  #: columns of G bodies, "id" among them, in order of arrival: by owner, then by id
+    #: Columns of G bodies, "id" among them, in order of arrival: by owner, then by id; padding, of id -1, follows those
+    #: of each owner.
+    ghosts: Columns
     route: Route  #: route by which ghosts were sent: its rows index own bodies
-    boundary: Tensor  #: (B,) int64, ascending: rows of own bodies that other ranks hold too
+    boundary: Tensor  #: (B,) int64, ascending: rows of own bodies that other ranks hold too; then -1 for padding
     replicas: Replicas  #: the other ranks that hold each boundary body
-
-    @classmethod
-    def alone(cls, neighbours: Neighbourhood, own: Columns) -> Held:
-        """The held bodies of a single rank, without ghosts."""
-        id, ghosts = own["id"], {name: column[:0] for name, column in own.items()}
-        none = Replicas(id.new_empty((0, 1), dtype=torch.uint8), id.new_zeros(1))
-        return cls(id, ghosts, Route(neighbours, id[:0], [0], [0]), id[:0], none)
 
     def __len__(self) -> int:
         return self.own_count + self.ghost_count
@@ -40,6 +34,11 @@ class Held:
     @property
     def ghost_count(self) -> int:
         return len(self.ghosts["id"])
+
+    def ghosts_by_source(self) -> Tensor:
+        """(neighbours.size,) int64 on the device: number of ghosts, without padding, from each neighbour."""
+        is_ghost = (self.ghosts["id"] >= 0).to(torch.int64)
+        return torch.zeros_like(self.replicas.counts).scatter_add_(0, self.route.source, is_ghost)
 
     @functools.cached_property
     def id(self) -> Tensor:

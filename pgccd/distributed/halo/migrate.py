@@ -12,6 +12,7 @@ from pgccd.distributed.comm.exchange import Columns, Route, replace_rows, unpack
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.halo.vertices import Vertices
 from pgccd.distributed.partition.decomposition import Decomposition
+from pgccd.runtime.attempts import TooSmall, until_it_fits
 from pgccd.runtime.hashing import row_hash
 
 # Ids generated at a time.
@@ -48,20 +49,23 @@ def migrate(
     """
     if decomposition.comm.size == 1:
         return Moved(columns, 0, vertices)
-    where = *decomposition.subdomain, decomposition.neighbours.size
-    rows, by_destination, counts = ops.leaving_bodies(position, *where)
-    if decomposition.is_beyond(counts):
-        return migrate(decomposition.of_all_ranks(), columns, position, vertices)
-    neighbours = decomposition.neighbours
-    sent, received = neighbours.agree(counts)
-    rows, route = rows[: sum(sent)], Route(neighbours, by_destination[: sum(sent)], sent, received)
+
+    def attempt(among: Decomposition) -> tuple[Tensor, Route] | TooSmall[Decomposition]:
+        rows, by_destination, counts = ops.leaving_bodies(position, *among.subdomain, among.neighbours.size)
+        if among.is_beyond(counts):
+            return TooSmall(among.of_all_ranks())
+        sent, received = among.neighbours.agree(counts)
+        leaving = sum(sent)
+        return rows[:leaving], Route(among.neighbours, by_destination[:leaving], sent, received)
+
+    rows, route = until_it_fits(attempt, decomposition)
     id_first = {"id": columns["id"], **columns}  # rows are merged by the first column
     packed = route.send(id_first).wait()
     changed = replace_rows(id_first, rows, packed)
     if vertices is not None:
         arrived = unpack(packed, id_first)
         vertices = _with_bodies(vertices, columns["id"], rows, route, arrived)
-    return Moved({name: changed[name] for name in columns}, sum(received), vertices)
+    return Moved({name: changed[name] for name in columns}, sum(route.received), vertices)
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ from torch import Tensor
 
 from pgccd import ops
 from pgccd.distributed.comm.neighbourhood import Neighbourhood
-from pgccd.distributed.halo.centres import Centres
 from pgccd.distributed.partition.decomposition import Decomposition
+from pgccd.runtime.attempts import TooSmall, until_it_fits
 
 
 @dataclass(frozen=True)
@@ -27,9 +27,12 @@ class Replicas:
         """
         return ops.rows_by_rank(self.table, rows, self.counts, capacities)
 
-    def overflow(self, capacities: list[int]) -> Tensor:
-        """(1,) int64: 1 if a capacity is exceeded, or a body reaches a rank that is not a neighbour."""
-        return ops.counts_to_send(self.counts, capacities, torch.zeros_like(self.counts[:1]), 0)[0, 1:]
+    def overflow(self, capacities: list[int], found: Tensor | None = None, capacity: int = 0) -> Tensor:
+        """(1,) int64: 1 if a capacity is exceeded, that of a neighbour or of all bodies (`found` (1,) int64, if given),
+        or a body reaches a rank that is not a neighbour; else 0.
+        """
+        found = torch.zeros_like(self.counts[:1]) if found is None else found
+        return ops.counts_to_send(self.counts, capacities, found, capacity)[0, 1:]
 
     def renumber(self, former: Neighbourhood, neighbours: Neighbourhood) -> Replicas:
         """These replicas by the numbers of other neighbours, which include the former ones."""
@@ -38,7 +41,7 @@ class Replicas:
 
 def find_replicas(
     decomposition: Decomposition,
-    centres: Centres,
+    centres: ops.Centres,
     kept: tuple[float, float],
     rows: Tensor,
     received: Sequence[int] = (),
@@ -58,7 +61,7 @@ def find_replicas(
 
 def agreed_replicas(
     decomposition: Decomposition,
-    centres: Centres,
+    centres: ops.Centres,
     kept: tuple[float, float],
     rows: Tensor,
     received: Sequence[int] = (),
@@ -66,13 +69,17 @@ def agreed_replicas(
     """The same, after extending the neighbours of ranks if bodies of any rank reach further. All ranks call it.
     Synchronises, unless all ranks are neighbours.
     """
-    former, of_neighbours = decomposition.neighbours, received
-    while True:
+    former = decomposition.neighbours
+
+    def attempt(of_neighbours: Sequence[int]) -> Replicas | TooSmall[Sequence[int]]:
         found = find_replicas(decomposition, centres, kept, rows, of_neighbours)
         if not decomposition.is_beyond(found.counts):
             return found
         beyond = rows[found.table[:, -1] > 0]
         whole = decomposition.of_all_ranks().subdomain
         decomposition.extend(ops.reached_ranks(centres, *kept, whole, beyond, decomposition.comm.size)[1])
-        if received:
-            of_neighbours = decomposition.neighbours.renumber(former, torch.tensor(received)).tolist()
+        if not received:
+            return TooSmall(received)
+        return TooSmall(decomposition.neighbours.renumber(former, torch.tensor(received)).tolist())
+
+    return until_it_fits(attempt, received)

@@ -11,32 +11,26 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from pgccd import arguments
+from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.capacity import COUNT_ROWS, busy_nanoseconds, overflow_flags
 from pgccd.detection.contacts import Contacts
-from pgccd.detection.parts import first_contacts_of
 from pgccd.distributed.comm.exchange import Columns, first_row
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.comm.peer_memory import RowsOfRanks
-from pgccd.distributed.detection.padded_share import (
-    PaddedShare,
-    ShareCapacity,
-    can_replay,
-    rows_with_slack,
-    search_padded_share,
-)
+from pgccd.distributed.detection.share import Share, search_share
 from pgccd.distributed.halo.migrate import count_leaving
+from pgccd.distributed.halo.sizes import HaloSizes
 from pgccd.distributed.launch.agreement import require_agreement
 from pgccd.distributed.partition.balance import RankLoads
-from pgccd.distributed.world.columns import scene_columns
+from pgccd.distributed.partition.decomposition import Decomposition
+from pgccd.distributed.steps.rank import can_replay
+from pgccd.distributed.steps.replayed import RankSteps
+from pgccd.distributed.world.columns import columns_to_send, scene_of
 from pgccd.distributed.world.world import World
 from pgccd.motion.faults import LARGEST_COORDINATE
 from pgccd.motion.paths import RigidMotion
-from pgccd.runtime.replayed_steps import GRAPH_SLACK, ReplayedSteps
-from pgccd.runtime.transaction import Replay, TransactionGraph
-
-# Bodies that have left their rank's cells migrate once they exceed the number of ghosts over this (each may be a
-# ghost).
-_MOST_AWAY = 4
+from pgccd.runtime.replayed_steps import GRAPH_SLACK
+from pgccd.runtime.transaction import TransactionGraph
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,15 +65,16 @@ class WorldStep:
 
 @dataclass(frozen=True)
 class _Committed:
-    """A step that was committed on all ranks."""
+    """A step that was committed on all ranks: see `CommittedByRanks`."""
 
+    index: int
     found: WorldStep
     loads: RankLoads
-    leaving: int  #: bodies in parts of other ranks
+    leaving: int
     ghosts: int
 
 
-class CapturedWorld(ReplayedSteps[WorldStep, _Committed, "_WorldGraph"]):
+class CapturedWorld(RankSteps[WorldStep, _Committed, "_WorldGraph"]):
     """A loop of steps of a `World`: motion, detection, response.
 
     On GPUs (over NCCL, if there are several) a step is the replay of one CUDA graph per rank, with messages and both
@@ -125,7 +120,7 @@ class CapturedWorld(ReplayedSteps[WorldStep, _Committed, "_WorldGraph"]):
         if world.vertex_payload:
             raise ValueError("world: expected one without vertex_payload: its motion is rigid")
         graph = can_replay(world.comm, world.id.device) if graph is None else graph
-        super().__init__(graph and world.census.count > 0)
+        super().__init__(world._rank, graph and world.census.count > 0)
         self._world, self._motion, self._response = world, motion, response
 
     def run(self, steps: int) -> list[WorldStep]:
@@ -141,6 +136,7 @@ class CapturedWorld(ReplayedSteps[WorldStep, _Committed, "_WorldGraph"]):
         steps = arguments.integer(steps, "steps", 0, "a number of steps >= 0")
         world, found = self._world, []
         require_agreement(world.comm, {"steps": steps, "graph": self._wants_graph})
+        world.comm.guard.activity = "step"
         if self._graph is not None and not self._load(self._graph, world.steps_made):
             self._graph = None
         for more in reversed(range(steps)):
@@ -162,52 +158,27 @@ class CapturedWorld(ReplayedSteps[WorldStep, _Committed, "_WorldGraph"]):
         _require_rigid(motion)
         hits = world.step(motion)
         assert world.found is not None
-        self._share = world.found.share
         counts = torch.tensor([len(world.found.pairs), len(world.found.contacts)])
         pcs, contacts = world.comm.sum(counts).tolist()
         world.move(**_with_position(self._response(bodies, motion, world.first_toi(hits))))
         return WorldStep(pcs, contacts, replayed=False)
 
-    def _make_graph(self, index: int) -> _WorldGraph:
+    def _graph_of(self, index: int, decomposition: Decomposition, sizes: HaloSizes, rows: int) -> _WorldGraph:
         world = self._world
-        capacity = ShareCapacity.after(self._share, world.decomposition.neighbours)
-        values = [4 + 2 * len(COUNT_ROWS), *capacity.halo.sent, *capacity.halo.received]
-        world.comm.reserve_peer_messages(8 * (1 + max(values)))
-        like = _any_body(world.comm, world.columns)
-        return _WorldGraph(world, self._motion, self._response, capacity, like, index)
+        padding = _any_body(world.comm, world.columns)
+        padding["id"].fill_(-1)
+        return _WorldGraph(world, self._motion, self._response, decomposition, sizes, index, padding, rows)
 
-    def _begin(self, graph: _WorldGraph, index: int) -> None:
-        self._world.comm.close_before(graph)
-        graph.load(self._world.columns, index)
+    def _largest_message(self, sizes: HaloSizes) -> int:
+        return 1 + max(4 + 2 * len(COUNT_ROWS), *sizes.sent, *sizes.received)
 
-    def _is_captured(self, captured: bool) -> bool:
-        return not self._world.comm.any(not captured)
+    @property
+    def _columns(self) -> Columns:
+        return self._world.columns
 
-    def _are_others_waiting(self, graph: _WorldGraph | None) -> bool:
-        return self._world.comm.size > 1 and (graph is None or not graph.has_run)
-
-    def _load(self, graph: _WorldGraph, index: int) -> bool:
-        fits = len(self._world.id) <= len(graph.columns["id"]) and graph.decomposition.become(self._world.decomposition)
-        if self._world.comm.any(not fits):
-            return False
-        graph.load(self._world.columns, index)
-        return True
-
-    def _take(self, graph: _WorldGraph) -> None:
-        world = self._world
-        world.columns = {name: column[: len(world.id)].clone() for name, column in graph.columns.items()}
-
-    def _read(self, replay: Replay[_Committed], index: int) -> _Committed | None:
-        comm = self._world.comm
-        comm.guard.activity = "step"
-        with comm.guard.waiting("step", for_gpu=comm.goes_with_the_stream):
-            return replay.read(index)
-
-    def _needs_launch(self, step: _Committed, enqueued: int) -> bool:
-        # Space is redistributed after a step that is launched.
-        balancer, steps_made = self._world.balancer, self._world.steps_made + 2 + enqueued
-        decides = balancer.is_due(steps_made, self._world.comm.size) and not balancer.are_level(step.loads)
-        return decides or _MOST_AWAY * step.leaving > step.ghosts
+    @_columns.setter
+    def _columns(self, columns: Columns) -> None:
+        self._world.columns = columns
 
 
 class _WorldGraph(TransactionGraph[_Committed]):
@@ -216,9 +187,11 @@ class _WorldGraph(TransactionGraph[_Committed]):
     Args:
         world: the graph is captured for its state.
         motion, response: of the user.
-        capacity: of the halo and of own bodies near ghosts or at the boundary.
-        like: columns of a body. Padding is a copy of it, so that the user's functions get valid values.
+        decomposition: a copy owned by the graph.
+        sizes: of the halo.
         index: of the next step.
+        padding: columns of a body, so that the user's functions get valid values in unused rows, with id -1.
+        rows: number of rows for own bodies.
     """
 
     def __init__(
@@ -226,28 +199,15 @@ class _WorldGraph(TransactionGraph[_Committed]):
         world: World[Contacts],
         motion: Motion,
         response: Response,
-        capacity: ShareCapacity,
-        like: Columns,
+        decomposition: Decomposition,
+        sizes: HaloSizes,
         index: int,
+        padding: Columns,
+        rows: int,
     ) -> None:
-        device = world.id.device
-        super().__init__(device)
-        self._world, self._motion, self._response, self._capacity = world, motion, response, capacity
-        #: A copy owned by the graph.
-        self.decomposition = world.decomposition.copy()
-        rows = rows_with_slack(len(world.id))
-        #: Columns of the own bodies, then padding.
-        self.columns = {name: column.expand(rows, *column.shape[1:]).clone() for name, column in like.items()}
-        self.columns["id"].fill_(-1)
-        self._index = torch.full((1,), index, dtype=torch.int64, device=device)
-
-    def load(self, columns: Columns, index: int) -> None:
-        """Loads another state, of at most as many bodies as rows."""
-        self.columns["id"].fill_(-1)
-        for name, column in columns.items():
-            self.columns[name][: len(column)].copy_(column)
-        self._index.fill_(index)
-        self._failed.zero_()
+        super().__init__(world.columns, index, padding, rows)
+        self._world, self._motion, self._response = world, motion, response
+        self._decomposition, self._sizes = decomposition, sizes
 
     def _step(self) -> Tensor:
         """(ranks, 4 + 21 * parts) int64: failure flag; numbers of own bodies, ghosts, and leaving bodies; counts."""
@@ -256,18 +216,28 @@ class _WorldGraph(TransactionGraph[_Committed]):
         bodies = _bodies(columns, self._index)
         motion = self._motion(bodies)
         _require_rigid(motion)
-        own = scene_columns(columns) | motion.columns()
-        asked = world.build, world.options, world.estimates, self._capacity, self._failed, GRAPH_SLACK
-        share = search_padded_share(self.decomposition, own, *asked, of_held=lambda *held: None)
-        for part in share.parts:
-            part.begin()
+        scene = scene_of(world._meshes, columns)
+        scene._leave_out(id < 0)
+        moving = MovingBodies.of(scene, motion, wait=False)
+        asked = self._decomposition, columns_to_send(id, moving), moving, lambda ghosts: ghosts
+        # The rows of contacts with ghosts are found concurrently with the search of own pairs.
+        share, _ = search_share(
+            *asked,
+            world.options,
+            world._rank.estimates,
+            beside=lambda share: share.parts[-1].first_contacts(),
+            sizes=self._sizes,
+            synchronises=False,
+            discard=self._failed,
+            slack=GRAPH_SLACK,
+        )
         counts = [part.counts() for part in share.parts]
         overflow = [flag for of_part in counts for flag in overflow_flags(of_part)]
-        incomplete = torch.cat([self._failed, share.failed, motion._first_faults()[-1:], *overflow]).sum().reshape(1)
+        incomplete = torch.cat([self._failed, share.overflow, moving._first_faults()[-1:], *overflow]).sum().reshape(1)
         first, incomplete = _first_toi(share, comm, incomplete)
         new = _with_position(self._response(bodies, motion, first))
         is_body = id >= 0
-        leaving = count_leaving(self.decomposition, new["position"].contiguous(), id)
+        leaving = count_leaving(self._decomposition, new["position"].contiguous(), id)
         is_valid = ((new["position"].abs() <= LARGEST_COORDINATE).all(dim=1) | ~is_body).all()
         failed = incomplete | ~is_valid
         owned, ghosts = is_body.sum()[None], (share.held.ghosts["id"] >= 0).sum()[None]
@@ -293,10 +263,10 @@ class _WorldGraph(TransactionGraph[_Committed]):
         spent = (1e-9 * busy_nanoseconds(counts)).tolist()
         loads = RankLoads(owned.tolist(), pcs.tolist(), contacts.tolist(), spent)
         found = WorldStep(int(pcs.sum()), int(contacts.sum()), replayed=True)
-        return _Committed(found, loads, int(leaving.sum()), int(ghosts.sum()))
+        return _Committed(index, found, loads, int(leaving.sum()), int(ghosts.sum()))
 
 
-def _first_toi(share: PaddedShare[None], comm: Comm, incomplete: Tensor) -> tuple[Tensor, Tensor]:
+def _first_toi(share: Share, comm: Comm, incomplete: Tensor) -> tuple[Tensor, Tensor]:
     """The first toi of each own body, (N,) float64, over all ranks that hold it; and whether the search of any rank was
     incomplete, (1,) int64 0 or 1. All toi are 0 then: contacts lost on one rank may be those of others' bodies.
 
@@ -306,7 +276,7 @@ def _first_toi(share: PaddedShare[None], comm: Comm, incomplete: Tensor) -> tupl
         incomplete: (1,) int64, nonzero if the search of this rank may have missed contacts.
     """
     held, own_count, peers = share.held, share.held.own_count, comm.peer_messages
-    pairs, toi = first_contacts_of(share.parts)
+    pairs, toi = share.first_contacts()
     first = toi.new_full((len(held) + 1,), torch.inf)  # the last row is for padding
     _lower(first, pairs.reshape(-1), toi.repeat_interleave(2))
     neighbours = held.route.neighbours

@@ -9,14 +9,15 @@ import torch
 from torch import Tensor
 
 from pgccd import arguments
+from pgccd.detection.bodies import MovingBodies
 from pgccd.distributed.comm.exchange import Columns, make_route
 from pgccd.distributed.comm.interface import Comm
-from pgccd.distributed.halo.vertices import Vertices
+from pgccd.distributed.halo.vertices import vertex_counts
 from pgccd.distributed.launch.agreement import together
 from pgccd.geometry.mesh import MeshSet
 from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
 from pgccd.motion.faults import LARGEST_COORDINATE
-from pgccd.motion.paths import PathKind, RigidMotion, VertexMotion
+from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
 
 # Optional columns of scenes.
@@ -36,52 +37,32 @@ def scene_columns(columns: Columns) -> Columns:
     return {name: columns[name] for name in _OF_SCENES if name in columns}
 
 
-def motion_of(columns: Columns, path: PathKind) -> RigidMotion | VertexMotion:
-    """The inverse of `moving_columns`; the columns include those of vertices."""
-    if "x_t0" in columns:
-        return VertexMotion(columns["x_t0"], columns["x_t1"])
-    pose = (columns["position_t0"], columns["orientation_t0"], columns["position_t1"], columns["rotation"])
-    return RigidMotion.from_rotation(*pose, path=path)
-
-
-def require_rows(motion: RigidMotion | VertexMotion | Trajectory, bodies: int, vertex_count: Tensor) -> None:
-    """Raises ValueError unless the motion has this number of bodies, or of their vertices."""
-    if isinstance(motion, RigidMotion):
-        what, given, expected = "bodies", motion.body_count, bodies
-    elif isinstance(motion, VertexMotion):
-        what, given, expected = "vertices", len(motion.x_t0), int(vertex_count.sum())
-    elif motion.orientation is None:
-        what, given, expected = "vertices", motion.position.shape[1], int(vertex_count.sum())
-    else:
-        what, given, expected = "bodies", motion.position.shape[1], bodies
-    if given != expected:
-        raise ValueError(f"motion: has {given} {what}, this rank owns {expected}")
-
-
-def moving_columns(
-    motion: RigidMotion | VertexMotion, bodies: int, vertex_count: Tensor, path: str
-) -> tuple[Columns, Vertices | None]:
-    """The columns of a motion: of rigid bodies, or of the vertices of deforming bodies.
+def columns_to_send(id: Tensor, bodies: MovingBodies) -> Columns:
+    """The columns of bodies in motion that other ranks need; those of vertices are sent apart.
 
     Args:
-        motion: of one step.
-        bodies: number of bodies.
-        vertex_count: (N,) int64: number of vertices of each body.
-        path: of all motions of the world.
-
-    Raises:
-        TypeError, ValueError: the motion is of another type, or does not match the bodies or the path.
+        id: (N,) int64.
+        bodies: of these ids.
     """
-    if not isinstance(motion, (RigidMotion, VertexMotion)):
-        kinds = "a pgccd.RigidMotion, VertexMotion or Trajectory"
-        raise TypeError(f"motion: expected {kinds}, got {arguments.describe(motion)}")
-    require_rows(motion, bodies, vertex_count)
-    if isinstance(motion, VertexMotion):
-        return {}, Vertices(motion.columns(), vertex_count)
-    if motion.path != path:
-        raise ValueError(f"motion: its path is {motion.path!r}, the world's {path!r}")
-    motion._check_given()
-    return motion.columns(), None
+    columns = {"id": id, **bodies.columns}
+    columns.pop("radius", None)  # follows from the mesh
+    return columns
+
+
+def require_rows(motion: RigidMotion | VertexMotion | Trajectory, meshes: MeshSet, mesh_index: Tensor) -> None:
+    """Raises ValueError unless the motion has as many rows as there are bodies of these meshes (N,), or vertices of
+    these.
+    """
+    deforms = isinstance(motion, VertexMotion) or (isinstance(motion, Trajectory) and motion.orientation is None)
+    what, expected = "bodies", len(mesh_index)
+    if deforms:
+        what, expected = "vertices", int(vertex_counts(meshes, mesh_index).sum())
+    if isinstance(motion, Trajectory):
+        given = motion.position.shape[1]
+    else:
+        given = motion.body_count if isinstance(motion, RigidMotion) else len(motion.x_t0)
+    if given != expected:
+        raise ValueError(f"motion: has {given} {what}, this rank owns {expected}")
 
 
 def ids_given(id: Tensor | None, count: int, device: torch.device) -> Tensor:

@@ -14,7 +14,7 @@ from pgccd import arguments
 from pgccd.distributed.checkpoint.partition import partition_header
 from pgccd.distributed.comm.exchange import Columns
 from pgccd.distributed.comm.interface import Comm
-from pgccd.distributed.detection.share import Options
+from pgccd.distributed.detection.options import Options
 from pgccd.distributed.halo.vertices import Vertices, vertex_counts
 from pgccd.distributed.launch.agreement import require_agreement, together
 from pgccd.distributed.partition.balance import BalanceOptions

@@ -11,18 +11,20 @@ from typing import Any, Generic, Literal, Never, TypeVar, Unpack, overload
 import torch
 from torch import Tensor
 
+from pgccd import arguments
 from pgccd.detection import narrow
+from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.broad import BroadPhase
 from pgccd.detection.checks import Initial
 from pgccd.detection.contacts import CollidingPairs, Contacts
+from pgccd.detection.parts import search_seconds
 from pgccd.detection.trajectories import TrajectoryContacts
-from pgccd.distributed.comm.exchange import Columns, take_rows
+from pgccd.distributed.comm.exchange import take_rows
 from pgccd.distributed.comm.interface import Alone, Comm
-from pgccd.distributed.detection.detect import Detection, detect_distributed
+from pgccd.distributed.detection.options import Options
 from pgccd.distributed.detection.report import earliest_for_all, first_toi_of, tell_owners
 from pgccd.distributed.detection.segments import Segments
-from pgccd.distributed.detection.share import Options, PartEstimates
-from pgccd.distributed.halo.capacity import HaloCapacity
+from pgccd.distributed.detection.share import Share
 from pgccd.distributed.halo.migrate import Census, migrate
 from pgccd.distributed.halo.vertices import Vertices, vertex_counts
 from pgccd.distributed.launch.agreement import require_agreement, together
@@ -30,9 +32,9 @@ from pgccd.distributed.partition.balance import PAIR_COST, BalanceOptions, RankL
 from pgccd.distributed.partition.cut import DEFAULT_AXES, DEFAULT_CELLS, Cut
 from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.distributed.partition.interface import Partition, Point, Triple
-from pgccd.distributed.partition.rebalancing import Balancer
+from pgccd.distributed.steps.rank import Rank
 from pgccd.distributed.world.checkpoint import load_state, save_state
-from pgccd.distributed.world.columns import motion_of, moving_columns, new_values, require_rows, scene_columns, scene_of
+from pgccd.distributed.world.columns import columns_to_send, new_values, require_rows, scene_columns, scene_of
 from pgccd.distributed.world.options import NewWorld, WorldOptions
 from pgccd.distributed.world.state import WorldState, agreed_partition, require_alike, state_given
 from pgccd.geometry.mesh import Mesh
@@ -65,15 +67,13 @@ class World(Generic[R]):
         self, comm: Comm, options: Options, balance: BalanceOptions, path: PathKind, state: WorldState, census: Census
     ) -> None:
         self.comm, self.options, self.path = comm, options, path
-        self.balancer = Balancer(balance)
+        self._rank = Rank(Decomposition(comm, state.partition), balance)
         self._meshes, self._cut = state.meshes, state.cut
-        self.decomposition = Decomposition(comm, state.partition)  #: of space
         self.census = census
-        self.found: Detection | None = None  #: contacts of the last step
-        self._capacity: HaloCapacity | None = None
-        self.estimates = PartEstimates()
+        self.found: Share | None = None  #: pairs and contacts of the last step
         self.steps_made, self._seconds = state.steps_made, 0.0
         self.columns, self._vertices = state.columns, state.vertices
+        self._scene: Scene | None = None
 
     @overload
     @classmethod
@@ -294,11 +294,11 @@ class World(Generic[R]):
     @property
     def partition(self) -> Partition:
         """The partition of space; the same on all ranks."""
-        return self.decomposition.partition
+        return self._rank.partition
 
     @partition.setter
     def partition(self, partition: Partition) -> None:
-        self.decomposition, self._capacity = Decomposition(self.comm, agreed_partition(self.comm, partition)), None
+        self._rank.partition = agreed_partition(self.comm, partition)
 
     @property
     def id(self) -> Tensor:
@@ -354,30 +354,47 @@ class World(Generic[R]):
             >>> hits = world.step(motion)
             >>> toi = world.first_toi(hits)
         """
-        own = scene_columns(self.columns)
         if self.found is None:  # the first step
             require_agreement(self.comm, {"motion": type(motion).__name__})
         if isinstance(motion, Trajectory):
-            require_rows(motion, len(self.id), vertex_counts(self._meshes, self.mesh_index))
+            own = scene_columns(self.columns)
+            require_rows(motion, self._meshes, own["mesh_index"])
             segments = Segments.agreed(self.comm, motion.segment_count, own)
+            own = segments.repeat(own)
             # The earliest is selected from the first contacts of all segments.
             report: narrow.Report = "first" if self.options.report == "earliest" else self.options.report
-            found = self._detect(segments.repeat(own), motion.steps(), replace(self.options, report=report))
-            return segments.contacts_for_owners(self.comm, found, self.options.report)
-        found = self._detect(own, motion, self.options)
-        return earliest_for_all(self.comm, found) if self.options.report == "earliest" else tell_owners(found)
+            options = replace(self.options, report=report)
+            share = self._search(own["id"], scene_of(self._meshes, own), motion.steps(), options)
+            return segments.contacts_for_owners(self.comm, share, self.options.report)
+        share = self._search(self.id, self._current_scene(), motion, self.options)
+        return earliest_for_all(self.comm, share) if self.options.report == "earliest" else tell_owners(share)
 
-    def _detect(self, own: Columns, motion: RigidMotion | VertexMotion, options: Options) -> Detection:
-        count = vertex_counts(self._meshes, own["mesh_index"])
-        moving, vertices = moving_columns(motion, len(own["id"]), count, self.path)
-        own = own | moving
+    def _current_scene(self) -> Scene:
+        """The scene of this rank's own bodies, kept until bodies migrate."""
+        if self._scene is None or self._scene.mesh_index is not self.mesh_index:
+            self._scene = scene_of(self._meshes, self.columns)
+        return self._scene
+
+    def _search(self, id: Tensor, scene: Scene, motion: RigidMotion | VertexMotion, options: Options) -> Share:
+        if not isinstance(motion, (RigidMotion, VertexMotion)):
+            kinds = "a pgccd.RigidMotion, VertexMotion or Trajectory"
+            raise TypeError(f"motion: expected {kinds}, got {arguments.describe(motion)}")
+        require_rows(motion, self._meshes, scene.mesh_index)
+        vertices = None
+        if isinstance(motion, VertexMotion):
+            vertices = Vertices(motion.columns(), vertex_counts(self._meshes, scene.mesh_index))
+        elif motion.path != self.path:
+            raise ValueError(f"motion: its path is {motion.path!r}, the world's {self.path!r}")
         self.comm.guard.activity = "step"
         clock = StageClock()
-        memory = self.estimates, self._capacity if vertices is None else None
-        found = detect_distributed(self.decomposition, own, self.build, options, clock, *memory, vertices)
-        self.found, self._seconds, self.steps_made = found, clock.work, self.steps_made + 1
-        self._capacity = HaloCapacity.of(found.held, self.decomposition.neighbours)
-        return found
+        with clock.stage("plan"):
+            bodies = MovingBodies.of(scene, motion, wait=False)
+        own = columns_to_send(id, bodies)
+        asked = own, bodies, lambda ghosts: ghosts, options, clock
+        share, _ = self._rank.search(*asked, beside=lambda _: None, vertices=vertices)
+        clock.add(search_seconds(share.contacts.stats))
+        self.found, self._seconds, self.steps_made = share, clock.work, self.steps_made + 1
+        return share
 
     def first_toi(self, hits: Contacts | CollidingPairs) -> Tensor:
         """(N,) float64: the first toi of each own body, or the first `time` of a trajectory; inf without a contact.
@@ -413,22 +430,16 @@ class World(Generic[R]):
         """(ranks,) int64: the predicted cost of each rank in the last step, the same on all ranks."""
         if self.found is None:
             raise RuntimeError("no step has been made yet")
-        cost = len(self.found.held.own_id) + PAIR_COST * len(self.found.pairs)
+        cost = self.found.held.own_count + PAIR_COST * len(self.found.pairs)
         return self.comm.all_gather(torch.tensor([cost]))[:, 0]
 
-    def build(self, columns: Columns) -> tuple[Scene, RigidMotion | VertexMotion]:
-        """The scene and motion of bodies with these columns."""
-        return scene_of(self._meshes, columns), motion_of(columns, self.path)
-
     def _change_hands(self) -> None:
-        found, comm = self.found, self.comm
-        if found is not None and self.balancer.is_due(self.steps_made, comm.size):  # not before the first step
-            mine = [len(found.held.own_id), len(found.pairs), len(found.contacts), self._seconds]
+        found, comm, rank = self.found, self.comm, self._rank
+        if found is not None and rank.balancer.is_due(self.steps_made, comm.size):  # not before the first step
+            mine = [found.held.own_count, len(found.pairs), len(found.contacts), self._seconds]
             loads = RankLoads(*comm.all_gather(torch.tensor(mine, dtype=torch.float64)).T.tolist())
-            if not self.balancer.are_level(loads):
-                places = found.places(found.share.parts[0].bodies.position_t0)
-                self.decomposition, _ = self.balancer.decide(self.decomposition, places, loads, self.steps_made)
-                self._capacity = None
-        after = migrate(self.decomposition, self.columns, self.position, self._vertices)
+            if rank.is_balance_due(self.steps_made, loads):
+                rank.balance(found, loads, self.steps_made)
+        after = migrate(rank.decomposition, self.columns, self.position, self._vertices)
         self.columns, self._vertices = after.columns, after.vertices
         Census.of_ranks(comm, self.id).require(self.census)

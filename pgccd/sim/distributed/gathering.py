@@ -35,9 +35,9 @@ def gather_sample(
     """
     contacts, ids = None, torch.empty(0, dtype=torch.int64)
     if step is not None:
-        found = step.detection.contacts
+        found = step.share.contacts
         columns = found.columns
-        columns["pairs"] = step.detection.held.id[found.pairs]
+        columns["pairs"] = step.share.held.id[found.pairs]
         contacts = gather_columns(comm, take_rows(columns, torch.nonzero(columns["pairs"][:, 0] % one_in == 0)[:, 0]))
         ids = comm.broadcast_object(contacts["pairs"].unique().cpu() if one_in > 1 else ids)
 
@@ -54,5 +54,5 @@ def gather_sample(
     resolution = replace(step.resolution, fraction=before.pop("fraction"))
     contacts["pairs"] = torch.searchsorted(before["id"], contacts["pairs"])
     order = torch.argsort(contacts["pairs"][:, 0] * max(1, len(before["id"])) + contacts["pairs"][:, 1])
-    whole = Contacts(**take_rows(contacts, order), stats=step.detection.contacts.stats)
+    whole = Contacts(**take_rows(contacts, order), stats=step.share.contacts.stats)
     return after, Step(step.index, RobotState(**before), resolution, after, lambda: whole, lambda: step.record)

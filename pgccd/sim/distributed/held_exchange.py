@@ -10,8 +10,7 @@ from torch import Tensor
 from pgccd import ops
 from pgccd.distributed.comm.neighbourhood import Neighbourhood
 from pgccd.distributed.comm.peer_memory import PeerMessages, RowsOfRanks
-from pgccd.distributed.halo.centres import Centres
-from pgccd.distributed.halo.held import Held
+from pgccd.distributed.detection.share import Share
 from pgccd.distributed.halo.replicas import Replicas, agreed_replicas, find_replicas
 from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.runtime.host_copy import HostCopy
@@ -42,9 +41,7 @@ class HeldExchange:
     @classmethod
     def start(
         cls,
-        held: Held,
-        ghosts: Centres,
-        kept: tuple[float, float],
+        share: Share,
         decomposition: Decomposition,
         capacities: list[int] | None = None,
         peers: PeerMessages | None = None,
@@ -52,27 +49,24 @@ class HeldExchange:
         """Finds the bodies that other ranks hold too.
 
         Args:
-            held: the bodies.
-            ghosts: swept spheres of the ghosts among them.
-            kept: min_separation and tolerance, as the operators take them.
+            share: with the held bodies.
             decomposition: used for the halo. Without capacities, it is extended if ranks that hold the same ghost are
                 not neighbours (which synchronises, unless all ranks are neighbours).
             capacities: padded number of bodies shared with each neighbour, equal on both ranks. Default: the exact
                 number.
             peers: sends the messages; default: the connection.
         """
-        if decomposition.comm.size == 1:
+        held = share.held
+        if share.ghosts is None:
             exchange = cls(decomposition)
             exchange._shared = held.own_id[:0], [0]
             exchange._replicas = held.replicas
             return exchange
         route, ghost = held.route, torch.arange(held.ghost_count, device=held.own_id.device)
         row, before = ghost + held.own_count, sum(route.received[: route.neighbours.rank])
-        if capacities is None:
-            of_ghosts = agreed_replicas(decomposition, ghosts, kept, ghost, route.received)
-        else:
-            ghost = torch.where(held.ghosts["id"] < 0, -1, ghost)
-            of_ghosts = find_replicas(decomposition, ghosts, kept, ghost, route.received)
+        ghost = torch.where(held.ghosts["id"] < 0, -1, ghost)  # padding
+        find = agreed_replicas if capacities is None else find_replicas
+        of_ghosts = find(decomposition, share.ghosts.swept_spheres, share.options.kept, ghost, route.received)
         exchange = cls(decomposition, peers)
         of_own = held.replicas.renumber(route.neighbours, decomposition.neighbours)
         # By owner, then by id: ghosts are in this order, and own bodies come between them.

@@ -10,6 +10,9 @@ import torch
 from pgccd.distributed.partition.balance import RankLoads, imbalance
 from pgccd.sim.tally import COUNTED, WORK, Rows
 
+#: Number of values of each rank besides those of `count_step`.
+REPORTED = 4
+
 
 @dataclass(frozen=True)
 class Reports:

@@ -10,38 +10,34 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.broad import BroadPhase
-from pgccd.detection.parts import contacts_of_step
+from pgccd.detection.parts import pairs_of_step
 from pgccd.distributed.comm.exchange import Columns, take_rows
 from pgccd.distributed.comm.interface import Comm
-from pgccd.distributed.detection.detect import Detection
-from pgccd.distributed.detection.padded_share import ShareCapacity, can_replay, rows_with_slack
-from pgccd.distributed.detection.share import Options, OwnSearch, PartEstimates, Share
-from pgccd.distributed.halo.capacity import HaloCapacity
-from pgccd.distributed.halo.migrate import Census, id_range, migrate
-from pgccd.distributed.partition.balance import BalanceOptions
+from pgccd.distributed.detection.options import Options
+from pgccd.distributed.detection.share import Share, search_share
+from pgccd.distributed.halo.migrate import Census, count_leaving, id_range, migrate
+from pgccd.distributed.halo.sizes import HaloSizes
+from pgccd.distributed.partition.balance import BalanceOptions, RankLoads
 from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.distributed.partition.interface import Partition
-from pgccd.distributed.partition.rebalancing import Balancer
-from pgccd.geometry.scene import Scene
-from pgccd.motion.paths import RigidMotion
+from pgccd.distributed.steps.rank import Rank, can_replay
+from pgccd.distributed.steps.replayed import RankSteps
+from pgccd.resolution.counts import GatheredCounts
 from pgccd.resolution.round_plan import RoundPlan
 from pgccd.resolution.rounds import Fractions, resolve_collisions
+from pgccd.runtime.replayed_steps import GRAPH_SLACK
 from pgccd.runtime.stages import StageClock
 from pgccd.runtime.transaction import Replay
-from pgccd.sim.captured import CommittedStep, StepGraph
+from pgccd.sim.captured import CommittedStep, Searches, StepGraph
 from pgccd.sim.distributed.held_exchange import HeldExchange
-from pgccd.sim.distributed.rank_searches import RankSearches, largest_message, padded_state
-from pgccd.sim.distributed.reports import Reports
+from pgccd.sim.distributed.reports import REPORTED, Reports
 from pgccd.sim.model import Model, RobotState
 from pgccd.sim.partners import FIRST_CONTACTS, Partners
-from pgccd.sim.replay import SimulationSteps
+from pgccd.sim.replay import RecentRounds
 from pgccd.sim.response import respond
-from pgccd.sim.tally import Tally, count_step
-
-# Robots that have left their rank's cells migrate once they exceed the number of ghosts over this (each may be a
-# ghost).
-_MOST_AWAY = 4
+from pgccd.sim.tally import COUNTED, Tally, count_step
 
 
 @dataclass(frozen=True)
@@ -57,6 +53,21 @@ class CommittedRankStep:
         """Index of the step, from 0."""
         return self.made.index
 
+    @property
+    def loads(self) -> RankLoads:
+        """The ranks' loads, for balancing."""
+        return self.reports.loads
+
+    @property
+    def ghosts(self) -> int:
+        """Number of ghosts, over all ranks."""
+        return int(self.reports.ghosts.sum())
+
+    @property
+    def leaving(self) -> int:
+        """Number of robots in cells of other ranks, over all ranks."""
+        return int(self.reports.leaving.sum())
+
     @cached_property
     def record(self) -> dict[str, Any]:
         """The line in steps.jsonl, for all ranks; equal on all of them except for times."""
@@ -71,13 +82,8 @@ class RankStep:
     before: RobotState  #: own robots, as planned
     resolution: Fractions  #: of the held robots
     stop_requested: bool  #: on any rank
-    find: Callable[[], Detection]  #: computes `detection`
+    share: Share  #: pairs and contacts of the whole step
     make_record: Callable[[], dict[str, Any]]  #: computes `record`
-
-    @cached_property
-    def detection(self) -> Detection:
-        """Contacts of the whole step."""
-        return self.find()
 
     @cached_property
     def record(self) -> dict[str, Any]:
@@ -85,7 +91,7 @@ class RankStep:
         return self.make_record()
 
 
-class DistributedSimulation(SimulationSteps[RankStep]):
+class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
     """The robots of a simulation, distributed over ranks; made by `create`, on all ranks together.
 
     With NCCL, consecutive steps are replays of one CUDA graph per rank, messages included: see `pgccd.sim.replay`.
@@ -107,15 +113,13 @@ class DistributedSimulation(SimulationSteps[RankStep]):
         options: Options,
         graph: bool,
     ) -> None:
-        super().__init__(graph)
+        super().__init__(Rank(decomposition, balance), graph)
         self.comm, self.model, self.options = decomposition.comm, model, options
-        self._balancer = Balancer(balance)
-        self._plan, self._estimates = RoundPlan(), PartEstimates()
-        self._expected = expected
-        self._capacity: HaloCapacity | None = None
-        self._share_capacity: ShareCapacity | None = None
-        self._decomposition, self._stop = decomposition, False
+        self._plan, self._recent = RoundPlan(), RecentRounds()
+        self._expected, self._stop = expected, False
         self._state, self._arrived = state, 0
+        # Written before a replay: number of robots that arrived since the last one; whether to stop.
+        self._notes = torch.zeros(2, dtype=torch.int64, device=model.device)
 
     @classmethod
     def create(
@@ -174,12 +178,11 @@ class DistributedSimulation(SimulationSteps[RankStep]):
     @property
     def partition(self) -> Partition:
         """The partition of space; the same on all ranks."""
-        return self._decomposition.partition
+        return self._rank.partition
 
     @partition.setter
     def partition(self, partition: Partition) -> None:
-        self.state, self._decomposition = self.state, Decomposition(self.comm, partition)
-        self._capacity = None
+        self.state, self._rank.partition = self.state, partition
 
     def verify(self) -> None:
         """Checks that every robot is on exactly one rank.
@@ -202,20 +205,20 @@ class DistributedSimulation(SimulationSteps[RankStep]):
         self._stop = self._stop or stop
         if self._stop and self._graph is not None:
             self._notes[1] = 1
-        made = self._advance(index, more)
-        return made if isinstance(made, RankStep) else self._reports_of(made)
+        return self._advance(index, more)
 
     def _launch(self, index: int) -> RankStep:
         clock = StageClock()
         with clock.stage("plan"):
             planned = self.model.plan(self._state, index)
-        where = self._decomposition, planned.moving_columns, self._build, self.options, clock
-        search = OwnSearch(*where, self._estimates, self._capacity).start()
-        # In this order, so that the counts are available before the search with ghosts ends.
-        exchange, share = search.of_held(HeldExchange.start), search.with_ghosts()
-        self._capacity = HaloCapacity.of(share.held, self._decomposition.neighbours)
-        with clock.stage("halo"):
-            partners = Partners(self.model, planned.moving_columns, share.held.ghosts, share.pairs)
+            bodies = MovingBodies.of(self.model.scene(planned.id), self.model.motion(planned), wait=False)
+        own = planned.moving_columns
+
+        def beside(share: Share) -> tuple[HeldExchange, Partners]:
+            exchange = HeldExchange.start(share, self._rank.decomposition)
+            return exchange, Partners(self.model, own, share.held.ghosts, pairs_of_step(share.parts))
+
+        share, (exchange, partners) = self._rank.search(own, bodies, self._complete, self.options, clock, beside)
         after: RobotState = planned
 
         def conclude(fraction: Tensor) -> Tensor:
@@ -231,23 +234,22 @@ class DistributedSimulation(SimulationSteps[RankStep]):
         resolved = resolve_collisions(*held, self._plan, conclude, clock, exchange)
         reports = Reports.of(resolved.work, resolved.conclusions)
         resolved.learn()  # so that reading the contacts does not synchronise
-        moved_cells = self._balance(index, share, planned, reports, clock)
+        moved_cells = 0
+        if self._rank.is_balance_due(index + 1, reports.loads):
+            with clock.stage("balance"):
+                moved_cells = self._rank.balance(share, reports.loads, index + 1)
         with clock.stage("migrate"):
             self._migrate(after)
         clock.stop()
         tally = self._tally(reports)
         if self._wants_graph:
-            neighbours = self._decomposition.neighbours
-            self._share_capacity = ShareCapacity.after(share, neighbours, exchange.common(neighbours))
+            self._rank.learn_common(exchange.common(self._rank.decomposition.neighbours))
 
         def make_record() -> dict[str, Any]:
             record = tally.record(index, resolved.resolution.rounds, clock)
             return record | {"ranks": reports.record(moved_cells)}
 
-        def find() -> Detection:
-            return Detection(share, contacts_of_step(share.parts))
-
-        return RankStep(index, planned, resolved.resolution, bool(reports.stop.any()), find, make_record)
+        return RankStep(index, planned, resolved.resolution, bool(reports.stop.any()), share, make_record)
 
     def _tally(self, reports: Reports) -> Tally:
         """The tally over all ranks. Raises RuntimeError if robots were lost or duplicated."""
@@ -256,84 +258,108 @@ class DistributedSimulation(SimulationSteps[RankStep]):
         return tally
 
     def _host_numbers(self, share: Share) -> Tensor:
-        numbers = torch.tensor([share.held.ghost_count, self._arrived, int(self._stop), 0])
+        numbers = torch.tensor([share.body_count - share.held.own_count, self._arrived, int(self._stop), 0])
         return numbers.to(self.model.device, non_blocking=True)
 
-    def _build(self, columns: Columns) -> tuple[Scene, RigidMotion]:
-        pose = (columns["position"], columns["orientation"], columns["velocity"], columns["angular_velocity"])
-        return self.model.scene(columns["id"]), RigidMotion.from_velocity(*pose, dt=1.0)
-
-    def _balance(self, index: int, share: Share, planned: RobotState, reports: Reports, clock: StageClock) -> int:
-        """Rebalances space. Returns the number of cells or planes that moved."""
-        if not self._is_balance_due(index, reports):
-            return 0
-        with clock.stage("balance"):
-            found = Detection(share, contacts_of_step(share.parts))
-            given = found.places(planned.position), reports.loads, index + 1
-            self._decomposition, moved = self._balancer.decide(self._decomposition, *given)
-            self._capacity = None if moved else self._capacity
-            return moved
-
-    def _is_balance_due(self, index: int, reports: Reports) -> bool:
-        return self._balancer.is_due(index + 1, self.comm.size) and not self._balancer.are_level(reports.loads)
+    def _complete(self, ghosts: Columns) -> Columns:
+        """The columns of the scene and motion of ghosts, by the arithmetic of `Model.scene` and `Model.motion`."""
+        position = ghosts["position"]
+        return {
+            "mesh_index": self.model.mesh_index(ghosts["id"]),
+            "position_t0": position,
+            "position_t1": position + ghosts["velocity"],
+            "orientation_t0": ghosts["orientation"],
+            "rotation": ghosts["angular_velocity"],
+        }
 
     # Methods for replays.
 
-    def _make_graph(self, index: int) -> StepGraph:
-        assert self._share_capacity is not None
-        self._notes = torch.zeros(2, dtype=torch.int64, device=self.model.device)
-        self._graph_decomposition = self._decomposition.copy()
-        self.comm.reserve_peer_messages(largest_message(self._share_capacity, self._rounds_to_capture))
-        where = self._graph_decomposition, self._share_capacity, self._notes
-        searches = RankSearches(*where, self.model, self._build, self.options, self._estimates)
-        state = padded_state(self._state, rows_with_slack(len(self._state)))
-        rounds = self._rounds_to_capture, self._usual_rounds
-        made = self.model, state, index, searches.search, self._plan, *rounds, searches.conclude
-        return StepGraph(*made)
+    @property
+    def _columns(self) -> Columns:
+        return self._state.columns
 
-    def _begin(self, graph: StepGraph, index: int) -> None:
-        self.comm.close_before(graph)
-        self._write(graph, index)
-
-    def _is_captured(self, captured: bool) -> bool:
-        return not self.comm.any(not captured)
-
-    def _are_others_waiting(self, graph: StepGraph | None) -> bool:
-        return self.comm.size > 1 and (graph is None or not graph.has_run)
-
-    def _load(self, graph: StepGraph, index: int) -> bool:
-        fits = len(self._state) <= len(graph.state) and self._graph_decomposition.become(self._decomposition)
-        if self.comm.any(not fits):
-            return False
-        self._write(graph, index)
-        return True
-
-    def _write(self, graph: StepGraph, index: int) -> None:
-        """Writes the state to the graph."""
-        self._notes[0], self._notes[1] = self._arrived, int(self._stop)
-        graph.load(self._state, index)
-
-    def _take(self, graph: StepGraph) -> None:
-        columns = {name: column[: len(self._state)].clone() for name, column in graph.state.columns.items()}
+    @_columns.setter
+    def _columns(self, columns: Columns) -> None:
         self._state = RobotState(**columns)
 
-    def _read(self, replay: Replay[CommittedStep], index: int) -> CommittedStep | None:
-        with self.comm.guard.waiting("step", for_gpu=self.comm.goes_with_the_stream):
-            return replay.read(index)
+    def _graph_of(self, index: int, decomposition: Decomposition, sizes: HaloSizes, rows: int) -> StepGraph:
+        def search(planned: RobotState, discard: Tensor) -> Searches:
+            return self._search_padded(planned, discard, decomposition, sizes)
 
-    def _needs_launch(self, step: CommittedStep, enqueued: int) -> bool:
-        reports = Reports.of(step.work, step.conclusions)
-        away = bool(_MOST_AWAY * reports.leaving.sum() > reports.ghosts.sum())
-        return away or self._is_balance_due(step.index + 1 + enqueued, reports)
+        def conclude(searches: Searches, after: RobotState) -> Tensor:
+            """As in `Reports`: numbers of ghosts and of robots that arrived, whether to stop, and number in cells of
+            other ranks.
+            """
+            ghosts = (searches.id[len(after) :] >= 0).sum()[None]
+            concluded = torch.cat([ghosts, self._notes, count_leaving(decomposition, after.position, after.id)])
+            self._notes[:1].zero_()
+            return concluded
 
-    def _reports_of(self, step: CommittedStep) -> CommittedRankStep:
-        reports = Reports.of(step.work, step.conclusions)
+        rounds = self._recent.to_capture, self._recent.usual
+        return StepGraph(self.model, self._state, index, search, self._plan, *rounds, conclude, rows)
+
+    def _search_padded(
+        self, planned: RobotState, discard: Tensor, decomposition: Decomposition, sizes: HaloSizes
+    ) -> Searches:
+        """Enqueues the searches of a planned step, for a graph."""
+        own, scene = planned.moving_columns, self.model.scene(planned.id)
+        scene._leave_out(planned.id < 0)
+        bodies = MovingBodies.of(scene, self.model.motion(planned), wait=False)
+
+        def beside(share: Share) -> tuple[HeldExchange, Partners]:
+            exchange = HeldExchange.start(share, decomposition, sizes.common, self.comm.peer_messages)
+            share.parts[-1].first_contacts()
+            return exchange, Partners(self.model, own, share.held.ghosts, pairs_of_step(share.parts))
+
+        share, (exchange, partners) = search_share(
+            decomposition,
+            own,
+            bodies,
+            self._complete,
+            self.options,
+            self._rank.estimates,
+            beside=beside,
+            sizes=sizes,
+            synchronises=False,
+            discard=discard,
+            slack=GRAPH_SLACK,
+        )
+        failed = [share.overflow, bodies._first_faults()[-1:], exchange.overflow()]
+        return Searches(share.parts, partners, share.held.id, exchange, failed)
+
+    def _largest_message(self, sizes: HaloSizes) -> int:
+        """The first toi of bodies that two ranks hold and one number, or what all ranks gather."""
+        gathered = GatheredCounts.width(parts=2) + COUNTED + REPORTED
+        return max([2 + self._recent.to_capture, gathered, 1 + max(sizes.common)])
+
+    def _begin(self, graph: StepGraph, index: int) -> None:
+        self._write_notes()
+        super()._begin(graph, index)
+
+    def _load(self, graph: StepGraph, index: int) -> bool:
+        self._write_notes()
+        return super()._load(graph, index)
+
+    def _write_notes(self) -> None:
+        self._notes[0], self._notes[1] = self._arrived, int(self._stop)
+
+    def _read(self, replay: Replay[Any], index: int) -> CommittedRankStep | None:
+        made: CommittedStep | None = self._wait(replay, index)
+        if made is None:
+            return None
+        reports = Reports.of(made.work, made.conclusions)
         self._tally(reports)
-        return CommittedRankStep(step, reports, bool(reports.stop.any()))
+        return CommittedRankStep(made, reports, bool(reports.stop.any()))
+
+    def _note(self, step: RankStep | CommittedRankStep) -> None:
+        self._recent.note(step.resolution.rounds if isinstance(step, RankStep) else step.made.rounds)
+
+    def _is_oversized(self, graph: StepGraph) -> bool:
+        return self._recent.need_fewer_than(graph.rounds)
 
     def _migrate(self, state: RobotState) -> None:
         """Migrates robots; the state's ids ascend."""
-        moved = migrate(self._decomposition, state.columns, state.position)
+        moved = migrate(self._rank.decomposition, state.columns, state.position)
         self._state, self._arrived = RobotState(**moved.columns), moved.arrived
 
 

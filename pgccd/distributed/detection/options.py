@@ -1,0 +1,52 @@
+"""Options of detection on many ranks, and what it learns from step to step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from pgccd import arguments
+from pgccd.detection import broad, narrow
+from pgccd.detection.checks import Initial, check_separation, operator_tolerance
+from pgccd.detection.memory import CapacityEstimate
+from pgccd.detection.query import Query
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of `pgccd.detect`, and how to run it."""
+
+    report: narrow.Report = "first"
+    min_separation: float = 0.0
+    tolerance: float | None = None
+    nonzero_toi: bool = False
+    broad_phase: broad.BroadPhase = "auto"
+    #: Whether pairs of own bodies are searched while ghosts are sent. The result does not depend on it.
+    overlap: bool = True
+    initial: Initial = "report"
+
+    def check(self) -> None:
+        """Raises TypeError or ValueError, naming the option, if one is invalid."""
+        arguments.choice(self.report, "report", narrow.REPORTS)
+        _ = self.query  # checks its own
+        arguments.choice(self.broad_phase, "broad_phase", broad.BROAD_PHASES)
+        arguments.flag(self.overlap, "overlap")
+
+    @property
+    def query(self) -> Query:
+        """The options of each part."""
+        # Rows are not in the order of ids, which breaks ties.
+        report: narrow.Report = "first" if self.report == "earliest" else self.report
+        return Query(report, self.min_separation, self.tolerance, self.nonzero_toi, self.initial)
+
+    @property
+    def kept(self) -> tuple[float, float]:
+        """min_separation and tolerance, as the operators take them."""
+        return check_separation(self.min_separation), operator_tolerance(self.tolerance)
+
+
+@dataclass
+class PartEstimates:
+    """Capacity estimates of the parts; owned by a simulation or `World`."""
+
+    own: CapacityEstimate = field(default_factory=CapacityEstimate)
+    with_ghosts: CapacityEstimate = field(default_factory=CapacityEstimate)
