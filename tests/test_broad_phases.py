@@ -184,13 +184,15 @@ def test_auto_chooses_by_number_and_sizes(device: torch.device) -> None:
     assert pgccd.broad.choose(bodies(5_000, *mixed)) == ("sweep" if on_cpu else "grid")
     assert pgccd.broad.choose(bodies(200_000, *mixed)) == ("lbvh" if on_cpu else "grid")
     crowd = bodies(20, 1.0)
+    still = crowd.position_t0, torch.tensor([[1.0, 0.0, 0.0, 0.0]], device=device).repeat(20, 1)
+    motion = pgccd.RigidMotion.at_rest(*still)
     for named in ("sweep", "grid", "lbvh"):
         assert pgccd.broad.choose(crowd, named) == named
-        hits = pgccd.detect(crowd.scene, crowd.motion, broad_phase=named)
+        hits = pgccd.detect(crowd.scene, motion, broad_phase=named)
         assert hits.stats.broad_phase == named and hits.stats.pcs > 0
-    assert pgccd.detect(crowd.scene, crowd.motion).stats.broad_phase == "sweep"
+    assert pgccd.detect(crowd.scene, motion).stats.broad_phase == "sweep"
     pairs = pgccd.broad.find_pairs(crowd)
-    assert pgccd.detect(crowd.scene, crowd.motion, pairs=pairs).stats.broad_phase == "given"
+    assert pgccd.detect(crowd.scene, motion, pairs=pairs).stats.broad_phase == "given"
 
 
 @pytest.mark.parametrize("worlds", [1, 3])

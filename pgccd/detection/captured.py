@@ -197,7 +197,7 @@ class CapturedDetection(Generic[P]):
         padded = self.replay() if self._found is None else self._found
         self._records.pop(self._call_of_found, None)  # read now instead of two calls later
 
-        def attempt(padded: P) -> Contacts | CollidingPairs | TooSmall[P]:
+        def attempt(padded: PaddedContacts | PaddedCollidingPairs) -> Contacts | CollidingPairs | TooSmall[P]:
             try:
                 return padded.trim()
             except CapacityError as error:

@@ -35,7 +35,7 @@ class Stoppers:
             row = torch.where(body < 0, count, body)
             is_first = torch.cat([first, first.new_full((1,), -torch.inf)])[row] == toi
             self._next.scatter_reduce_(0, torch.where(is_first, row, count), other, "amin")
-        self._next[count] = count
+        self._next[count:].fill_(count)  # assigning a number copies it from the host, which a graph cannot
 
     def note(self, changed: Tensor) -> None:
         """Ends a round, which slowed down the bodies marked by (N,) uint8."""

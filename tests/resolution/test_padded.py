@@ -55,8 +55,9 @@ def test_incomplete_results_move_nobody(device: torch.device) -> None:
         with pytest.raises(RuntimeError, match=f"rounds: more than {rounds} are needed"):
             padded.trim()
     assert_same(pgccd.resolve(scene, motion, movable, capacity=PLENTY, rounds=complete.rounds).trim(), complete)
-    tight = BufferSizes(pairs=30, contacts=4096, overlaps=100, candidates=9000, leaf_pairs=9000)
-    for capacity in (tight, BufferSizes(pairs=4096, contacts=20, overlaps=9000, candidates=9000, leaf_pairs=9000)):
+    ample = dict.fromkeys(("poses", "tasks", "leaf_pairs", "candidates", "open"), 9000)
+    tight = BufferSizes(pairs=30, contacts=4096, overlaps=100, **ample)
+    for capacity in (tight, BufferSizes(pairs=4096, contacts=20, overlaps=9000, **ample)):
         padded = pgccd.resolve(scene, motion, capacity=capacity)
         assert_nobody_moves(padded)
         with pytest.raises(pgccd.CapacityError) as raised:

@@ -144,9 +144,9 @@ def search_share(
         return nullcontext() if clock is None else clock.stage(name)
 
     halo = Halo(decomposition, own, bodies, kept, sizes, synchronises)
-    side = SideStream(device, options.overlap and comm.size > 1)
     with stage("halo"):
         halo.find_boundary()
+    side = SideStream(device, options.overlap and comm.size > 1)  # waits for the boundary
     if comm.size > 1 and not (sizes is None and side.is_apart):  # exact sizes synchronise: own pairs are searched first
         with side, stage("halo"):
             halo.send()
