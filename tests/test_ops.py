@@ -51,6 +51,7 @@ def share_out(moving: pgccd.MovingBodies) -> None:
     ops.rows_by_rank(replica_ranks, rows, counts, [3, 0])
     ops.counts_to_send(counts, [3, 0], counts[:1], 4)
     pairs = torch.combinations(rows)
+    ops.meeting_pairs(pairs, centres, 0.01, -1e-6)
     ops.owned_pairs(pairs, rows, rows, centres, 0.01, -1e-6, reach, *subdomain)
     ops.near_ghosts(centres, reach, [column[:1] for column in centres], 0.01, -1e-6, *subdomain)
     ops.leaving_bodies(moving.position_t0, *subdomain, 2)

@@ -42,6 +42,7 @@ INDICES = [
     ("reached_ranks", (4,), "owner"),
     ("reached_ranks", (6,), "bodies"),
     ("reached_ranks", (7,), "begin"),
+    ("meeting_pairs", (0,), "pairs"),
     ("owned_pairs", (0,), "pairs"),
     ("owned_pairs", (1,), "rows"),
     ("leaving_bodies", (2,), "owner"),
@@ -57,7 +58,14 @@ INDICES = [
     *((name, (0, 8), "mesh_set.offsets") for name in ("refit", "traverse_rigid", "narrow_deforming")),
 ]
 LENGTHS = ("broad_pairs", "pairs_padded", "swept_boxes", "boundary_bodies", "near_ghosts", "owned_pairs")
-LENGTHS += ("replica_ranks", "traverse_rigid", "narrow_rigid", "contacts_padded_rigid", "lower_first_toi_rigid")
+LENGTHS += (
+    "meeting_pairs",
+    "replica_ranks",
+    "traverse_rigid",
+    "narrow_rigid",
+    "contacts_padded_rigid",
+    "lower_first_toi_rigid",
+)
 LENGTHS += ("detect_rigid", "reached_ranks", "vertex_face", "edge_edge", "voxels_touched", "voxel_boxes")
 PROGRAM = "import sys; sys.path.insert(0, {tests!r}); import test_ops_bounds; test_ops_bounds.{function}()"
 

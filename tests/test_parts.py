@@ -15,7 +15,7 @@ import pgccd
 from pgccd.detection.capacity import BufferSizes, Capacity
 from pgccd.detection.memory import CapacityEstimate, estimate_of
 from pgccd.detection.padded import counts_of_given
-from pgccd.detection.parts import Part, contacts_of_step, find_part, pairs_of_step
+from pgccd.detection.parts import Part, contacts_of_step, find_part, pairs_of_rounds
 from pgccd.detection.pipeline import detect_moving
 from pgccd.detection.query import Query
 
@@ -79,7 +79,7 @@ class Divided:
         assert found.stats.contacts == len(found) == len(self.expected)
         order = torch.argsort(found.pairs[:, 0] * 10**6 + found.pairs[:, 1], stable=True)
         assert_same(found[order], self.expected)
-        pairs = pairs_of_step(self.parts)
+        pairs = pairs_of_rounds(self.parts)
         assert torch.equal(pairs[pairs[:, 0] >= 0].unique(dim=0), self.pairs)
 
 

@@ -201,4 +201,10 @@ inline BroadBodies broad_view(const Tensor& position_t0, const Tensor& position_
   return view;
 }
 
+// centres = [position_t0 (N, 3), position_t1 (N, 3), radius (N,)]
+inline BroadBodies centres_view(const std::vector<Tensor>& centres, const char* name, const KeptDistance& kept) {
+  STD_TORCH_CHECK(centres.size() == 3, name, ": expected 3 tensors, got ", centres.size());
+  return broad_view(centres[0], centres[1], centres[2], {}, {}, {}, {}, {}, kept);
+}
+
 }  // namespace pgccd::bind

@@ -112,16 +112,26 @@ struct DetectOps {
                             const std::optional<Tensor>& group, const std::optional<Tensor>& mask,
                             const std::optional<Tensor>& world, const std::optional<Tensor>& is_static,
                             const std::optional<Tensor>& elsewhere, double min_separation, double tolerance,
-                            int64_t broad_phase, int64_t axis) {
+                            int64_t broad_phase, int64_t axis, bool at_any_times) {
     const BroadPhaseChoice choice = broad_phase_choice(broad_phase, axis);
-    const BroadBodies bodies = broad_view(position_t0, position_t1, radius, group, mask, world, is_static, elsewhere,
-                                          {min_separation, tolerance});
+    BroadBodies bodies = broad_view(position_t0, position_t1, radius, group, mask, world, is_static, elsewhere,
+                                    {min_separation, tolerance});
+    bodies.at_any_times = at_any_times;
     Tensor pairs = radius;
     const auto make_rows = [&](int64_t count) {
       return data<int64_t>(pairs = new_tensor<int64_t>(radius, {count, 2}));
     };
     pgccd::find_pairs(Session(radius).context(), bodies, choice, PairOutput(make_rows));
     return pairs;
+  }
+
+  static std::tuple<Tensor, Tensor> meeting_pairs(const Tensor& pairs, const TensorList& centres, double min_separation,
+                                                  double tolerance) {
+    const SweptPairs swept{centres_view(centres, "centres", {min_separation, tolerance}),
+                           rows<int64_t>(pairs, "pairs", {kAnySize, 2}), pairs.size(0)};
+    Tensor meeting = new_tensor<int64_t>(pairs, {pairs.size(0), 2}), found = new_tensor<int64_t>(pairs, {1});
+    pgccd::meeting_pairs(Session(pairs).context(), swept, data<int64_t>(meeting), data<int64_t>(found));
+    return {meeting, found};
   }
 
   static std::tuple<Tensor, Tensor> traverse_rigid(const TensorList& mesh_set, const TensorList& bodies,
@@ -233,6 +243,7 @@ void register_detect_ops(Library& library) {
   library.impl("moving_spheres", PGCCD_BOX(Ops::moving_spheres));
   library.impl("refit", PGCCD_BOX(Ops::refit));
   library.impl("broad_pairs", PGCCD_BOX(Ops::broad_pairs));
+  library.impl("meeting_pairs", PGCCD_BOX(Ops::meeting_pairs));
   library.impl("traverse_rigid", PGCCD_BOX(Ops::traverse_rigid));
   library.impl("traverse_deforming", PGCCD_BOX(Ops::traverse_deforming));
   library.impl("narrow_rigid", PGCCD_BOX(Ops::narrow_rigid));

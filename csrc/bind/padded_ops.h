@@ -19,10 +19,12 @@ struct PaddedOps {
                                           const std::optional<Tensor>& world, const std::optional<Tensor>& is_static,
                                           const std::optional<Tensor>& elsewhere,
                                           const std::optional<Tensor>& is_invalid, double min_separation,
-                                          double tolerance, int64_t broad_phase, const std::vector<int64_t>& capacity) {
+                                          double tolerance, int64_t broad_phase, const std::vector<int64_t>& capacity,
+                                          bool at_any_times) {
     BroadBodies bodies = broad_view(position_t0, position_t1, radius, group, mask, world, is_static, elsewhere,
                                     {min_separation, tolerance});
     bodies.is_invalid = optional_column<int64_t>(is_invalid, "is_invalid", 1);
+    bodies.at_any_times = at_any_times;
     check_capacity(capacity, 3);
     Tensor rows = new_tensor<int64_t>(radius, {capacity[0], 2});
     Tensor counts = new_tensor<int64_t>(radius, {kPairCounts});

@@ -37,8 +37,13 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
   // broad_phase: see kernels/broad/broad.h; axis: used by the sweep only
   library.def(
       "broad_pairs(Tensor position_t0, Tensor position_t1, Tensor radius, Tensor? group, Tensor? mask, Tensor? world, "
-      "Tensor? is_static, Tensor? elsewhere, float min_separation, float tolerance, int broad_phase, int axis) -> "
-      "Tensor");
+      "Tensor? is_static, Tensor? elsewhere, float min_separation, float tolerance, int broad_phase, int axis, "
+      "bool at_any_times=False) -> Tensor");
+  // pairs (P, 2) i64 of broad_pairs at any times, rows of -1 anywhere; meeting (P, 2) i64, padded with -1; found (1,)
+  // i64
+  library.def(
+      "meeting_pairs(Tensor pairs, Tensor[] centres, float min_separation, float tolerance) -> (Tensor meeting, "
+      "Tensor found)");
   library.def(
       "traverse_rigid(Tensor[] mesh_set, Tensor[] bodies, bool linear_path, Tensor pairs, Tensor? horizon, "
       "float min_separation, float tolerance, bool tests_start) -> (Tensor candidates, Tensor node_tests)");
@@ -57,7 +62,7 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
   library.def(
       "pairs_padded(Tensor position_t0, Tensor position_t1, Tensor radius, Tensor? group, Tensor? mask, Tensor? world, "
       "Tensor? is_static, Tensor? elsewhere, Tensor? is_invalid, float min_separation, float tolerance, "
-      "int broad_phase, int[] capacity) -> (Tensor pairs, Tensor counts)");
+      "int broad_phase, int[] capacity, bool at_any_times=False) -> (Tensor pairs, Tensor counts)");
   // Columns of contacts, body pairs (., 2) i64 first; all counts, followed by the faults. capacity = [poses, tasks,
   // leaf_pairs, candidates, launches, open, contacts]; capacities and counts: see kernels/traverse/traverse.h and
   // kernels/narrow/narrow.h.

@@ -39,12 +39,6 @@ inline Subdomain subdomain_view(const std::vector<double>& frame, const Tensor& 
   return view;
 }
 
-// centres = [position_t0 (N, 3), position_t1 (N, 3), radius (N,)]
-inline BroadBodies centres_view(const std::vector<Tensor>& centres, const char* name, const KeptDistance& kept) {
-  STD_TORCH_CHECK(centres.size() == 3, name, ": expected 3 tensors, got ", centres.size());
-  return broad_view(centres[0], centres[1], centres[2], {}, {}, {}, {}, {}, kept);
-}
-
 inline BodyPositions positions_view(const Tensor& position, const std::optional<Tensor>& id) {
   const int64_t count = position.size(0);
   return {rows<double>(position, "position", {kAnySize, 3}), optional_column<int64_t>(id, "id", count), count};

@@ -119,6 +119,7 @@ def find_pairs_padded(
     invalid: Tensor,
     tolerance: float | None = None,
     elsewhere: Tensor | None = None,
+    at_any_times: bool = False,
 ) -> tuple[Tensor, Tensor]:
     """The PCS in a given capacity, without synchronising.
 
@@ -127,6 +128,8 @@ def find_pairs_padded(
         capacity: of the pairs and of the broad phase's buffers.
         invalid: (1,) int64; if nonzero, no pairs are returned.
         elsewhere: (N,) uint8, nonzero for bodies whose pairs with each other are found elsewhere, and left out here.
+        at_any_times: whether to return all pairs that may come so near at two times, equal or not, each of one body:
+            those that may collide if bodies are stopped or slowed down anywhere on their way. The PCS is among them.
 
     Returns:
         (capacity.pairs, 2) int64, the pairs first, then rows of -1; and counts (7,) int64: the first seven of
@@ -142,6 +145,7 @@ def find_pairs_padded(
         *_lengths(min_separation, tolerance),
         number,
         [max(0, pair_capacity - own), *rest],
+        at_any_times,
     )
     if own:
         added = own * (invalid[0] == 0)
@@ -174,11 +178,29 @@ def find_pairs_of_checked(
     tolerance: float | None = None,
     axis: int = -1,
     elsewhere: Tensor | None = None,
+    at_any_times: bool = False,
 ) -> Tensor:
-    """As `find_pairs`, without checks; `chosen` comes from `choose`. elsewhere: see `find_pairs_padded`."""
-    number = BROAD_PHASE_NUMBERS[chosen]
-    pairs = ops.broad_pairs(*_columns(bodies), elsewhere, *_lengths(min_separation, tolerance), number, axis)
+    """As `find_pairs`, without checks; `chosen` comes from `choose`. elsewhere, at_any_times: see
+    `find_pairs_padded`.
+    """
+    lengths, number = _lengths(min_separation, tolerance), BROAD_PHASE_NUMBERS[chosen]
+    pairs = ops.broad_pairs(*_columns(bodies), elsewhere, *lengths, number, axis, at_any_times)
     return with_self_pairs(bodies, pairs)
+
+
+def meeting_pairs(
+    bodies: MovingBodies, pairs: Tensor, min_separation: float, tolerance: float | None = None
+) -> tuple[Tensor, Tensor]:
+    """The PCS among pairs found `at_any_times`, without synchronising.
+
+    Args:
+        bodies, min_separation, tolerance: as for `find_pairs`.
+        pairs: (P, 2) int64; may contain rows of -1.
+
+    Returns:
+        (P, 2) int64, the PCS in the same order, then rows of -1; and its number (1,) int64.
+    """
+    return ops.meeting_pairs(pairs, bodies.swept_spheres, *_lengths(min_separation, tolerance))
 
 
 def with_self_pairs(bodies: MovingBodies, pairs: Tensor) -> Tensor:

@@ -3,6 +3,7 @@
 import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -23,6 +24,13 @@ from pgccd.detection.streaming import join_contacts
 PART_SLACK = 1.5
 
 
+class FoundPairs(NamedTuple):
+    """Body pairs of a part."""
+
+    pairs: Tensor  #: (P, 2) int64, to search
+    swept_pairs: Tensor | None  #: (S, 2) int64, see `Part.swept_pairs`
+
+
 @dataclass(eq=False)
 class Part:
     """Body pairs of a step that are searched together."""
@@ -34,9 +42,12 @@ class Part:
     pair_counts: Tensor | None = None  #: (7,) int64, left on the device: the first of `Counts`. Default: P pairs
     rows: Tensor | None = None  #: (B,) int64: index of each of `bodies` in the step. Default: the same
     capacity: BufferSizes | None = None  #: of the search, chosen before the pairs were known. Default: as estimated
-    find_pairs: Callable[[], Tensor] | None = None  #: finds all pairs, called if they exceeded the capacity
+    find_pairs: Callable[[], FoundPairs] | None = None  #: finds all pairs, called if they exceeded the capacity
     #: Capacity estimate of this part, updated with what the search needed.
     estimate: CapacityEstimate = field(default_factory=CapacityEstimate)
+    #: (S, 2) int64 rows of `bodies`: all pairs that may collide if bodies are stopped or slowed down on their way,
+    #: `pairs` among them. Rows of -1 may follow. Default: not found
+    swept_pairs: Tensor | None = None
     _search: Search | None = field(default=None, init=False)
     _counts: Counts | None = field(default=None, init=False)
     _scratch_bytes: int = field(default=0, init=False)
@@ -88,7 +99,7 @@ class Part:
         if self.pair_counts is not None:
             numbers, self.pair_counts = self.pair_counts.tolist(), None
             if numbers[COUNT_ROWS["pairs_overflow"]] and self.find_pairs is not None:
-                self.pairs = self.find_pairs()
+                self.pairs, self.swept_pairs = self.find_pairs()
             else:
                 self.pairs = self.pairs[: numbers[COUNT_ROWS["pairs_written"]]]
         self._contacts = detect_moving(self.bodies, self.query, pairs=self.pairs)
@@ -153,6 +164,7 @@ def find_part(
     estimate: CapacityEstimate | None = None,
     slack: float = PART_SLACK,
     elsewhere: Tensor | None = None,
+    at_any_times: bool = False,
 ) -> Part:
     """The PCS of bodies, as a part. On a GPU it is found in an estimated capacity without synchronising, if the
     estimate fits in memory. Then the bodies need not be validated: if they are invalid there are no pairs.
@@ -164,35 +176,47 @@ def find_part(
         rows, estimate: as for `Part`.
         slack: capacity relative to what the last step needed.
         elsewhere: (N,) uint8, nonzero for bodies whose pairs with each other are left out: another part has them.
+        at_any_times: whether to find `Part.swept_pairs` too, by one broad phase.
 
     Raises:
         ValueError: the bodies are invalid, and the capacity could not be estimated.
     """
     separation, tolerance = query.min_separation, query.tolerance
+    beyond: dict[str, Any] = {"elsewhere": elsewhere, "at_any_times": at_any_times}
 
-    def find_pairs() -> Tensor:
+    def select_pairs(pairs: Tensor) -> tuple[FoundPairs, Tensor | None]:
+        """The pairs of this part, which may be followed by rows of -1, and the number of those to search, if some were
+        left out.
+        """
+        count = None
+        if select is not None:
+            pairs, count = select(pairs)
+        if not at_any_times:
+            return FoundPairs(pairs, None), count
+        meeting, count = broad.meeting_pairs(bodies, pairs, separation, tolerance)
+        return FoundPairs(meeting, pairs), count
+
+    def find_pairs() -> FoundPairs:
         if not bodies.checked:
             bodies._raise_faults(bodies._first_faults().tolist())
         chosen = broad.choose(bodies, broad_phase)
-        pairs = broad.find_pairs_of_checked(bodies, separation, chosen, tolerance, elsewhere=elsewhere)
-        if select is None:
-            return pairs
-        pairs, count = select(pairs)
-        return pairs[: int(count)]
+        found, count = select_pairs(broad.find_pairs_of_checked(bodies, separation, chosen, tolerance, **beyond))
+        return found if count is None else found._replace(pairs=found.pairs[: int(count)])
 
     estimate = estimate or CapacityEstimate()
     capacity = expected_capacity(bodies, None, estimate, slack=slack) if _looks_ahead(bodies) else None
     if capacity is None:
-        return Part(query, bodies, find_pairs(), rows=rows)
+        found = find_pairs()
+        return Part(query, bodies, found.pairs, rows=rows, swept_pairs=found.swept_pairs)
     invalid = bodies._first_faults()[-1:]
     if discard is not None:
         invalid = torch.maximum(invalid, discard)
-    pairs, counts = broad.find_pairs_padded(bodies, separation, broad_phase, capacity, invalid, tolerance, elsewhere)
-    if select is not None:
-        pairs, count = select(pairs)
+    pairs, counts = broad.find_pairs_padded(bodies, separation, broad_phase, capacity, invalid, tolerance, **beyond)
+    found, count = select_pairs(pairs)
+    if count is not None:
         row = COUNT_ROWS["pairs_written"]
         counts[row : row + 1].copy_(count)
-    return Part(query, bodies, pairs, counts, rows, capacity, find_pairs, estimate)
+    return Part(query, bodies, found.pairs, counts, rows, capacity, find_pairs, estimate, found.swept_pairs)
 
 
 def _counts_of(stats: Stats) -> Tensor:
@@ -228,8 +252,11 @@ def search_seconds(found: Counts | Stats) -> dict[str, float]:
     return {stage: found.seconds[stage] for stage in ("traverse", "narrow")}
 
 
-def pairs_of_step(parts: Sequence[Part]) -> Tensor:
-    """(P, 2) int64: the pairs of all parts as rows of the step's bodies; rows of -1 may be anywhere."""
+def pairs_of_rounds(parts: Sequence[Part]) -> Tensor:
+    """(P, 2) int64: the pairs of all parts as rows of the step's bodies, `swept_pairs` where these were found; rows of
+    -1 may be anywhere.
+    """
+    found = [part.pairs if part.swept_pairs is None else part.swept_pairs for part in parts]
     if len(parts) == 1:
-        return parts[0].pairs
-    return torch.cat([part.in_step(part.pairs) for part in parts])
+        return found[0]
+    return torch.cat([part.in_step(pairs) for part, pairs in zip(parts, found, strict=True)])

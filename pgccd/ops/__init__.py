@@ -11,6 +11,7 @@ from pgccd.ops.detection import (
     edge_edge,
     first_faults,
     lower_first_toi_rigid,
+    meeting_pairs,
     moving_spheres,
     narrow,
     pairs_padded,

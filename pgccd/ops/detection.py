@@ -84,13 +84,25 @@ def broad_pairs(
     tolerance: float,
     broad_phase: int,
     axis: int,
+    at_any_times: bool = False,
 ) -> Tensor:
     """Sorted pairs (P, 2) int64 of swept spheres that come within min_separation + tolerance; a negative tolerance is
     relative to the smaller radius of a pair. Pairs of two static bodies are left out, and pairs of two bodies marked by
     elsewhere, (N,) uint8. broad_phase: number in csrc/kernels/broad/broad.h; axis: of a sweep, -1 for automatic.
-    Neither affects the result.
+    Neither affects the result. at_any_times: also pairs that may come so near at two times, each of one body.
     """
     return int64(position_t0, unknown_count(), 2)
+
+
+@operator
+def meeting_pairs(
+    pairs: Tensor, centres: Sequence[Tensor], min_separation: float, tolerance: float
+) -> tuple[Tensor, Tensor]:
+    """Selects from pairs (P, 2) of bodies, found at any times, which may contain rows of -1, those that `broad_pairs`
+    finds otherwise: (P, 2) in the same order, padded with -1 after the first `found` (1,) rows. centres: [position_t0
+    (N, 3), position_t1 (N, 3), radius (N,)]. Does not synchronise.
+    """
+    return int64(pairs, pairs.shape[0], 2), int64(pairs, 1)
 
 
 @operator_of_bodies
@@ -135,8 +147,11 @@ def pairs_padded(
     tolerance: float,
     broad_phase: int,
     capacity: Sequence[int],
+    at_any_times: bool = False,
 ) -> tuple[Tensor, Tensor]:
-    """Pairs padded with -1, and counts (7,): see `pgccd.detection.capacity`. Does not synchronise."""
+    """The pairs of `broad_pairs` padded with -1, and counts (7,): see `pgccd.detection.capacity`. Does not
+    synchronise.
+    """
     return int64(position_t0, capacity[0], 2), int64(position_t0, 7)
 
 

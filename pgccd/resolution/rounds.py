@@ -20,7 +20,7 @@ from torch import Tensor
 
 from pgccd import ops
 from pgccd.detection.capacity import COUNT_ROWS, BufferSizes, Counts
-from pgccd.detection.parts import Part, pairs_of_step, search_seconds
+from pgccd.detection.parts import Part, pairs_of_rounds, search_seconds
 from pgccd.resolution.counts import GatheredCounts, Rows, SearchCounts
 from pgccd.resolution.round_plan import RoundPlan
 from pgccd.resolution.stoppers import Stoppers
@@ -70,8 +70,8 @@ class RoundSearch(Protocol):
     """Detection in rounds: among bodies that have changed, and between them and all others."""
 
     def look_among(self, pairs: Tensor) -> None:
-        """Takes note that the pairs of the whole step are now these (P, 2): more than before, if these had exceeded
-        their capacity.
+        """Takes note of the `pairs_of_rounds` (P, 2) of the step, found again since they had exceeded their
+        capacity.
         """
         ...
 
@@ -169,7 +169,7 @@ def resolve_collisions(
         if resolved is not None:
             return resolved
         # The pairs may have exceeded their capacity.
-        search.look_among(pairs_of_step(parts))
+        search.look_among(pairs_of_rounds(parts))
 
 
 @dataclass(eq=False)

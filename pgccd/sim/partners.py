@@ -17,14 +17,18 @@ _CONTACTS = COUNT_ROWS["contacts"]
 
 
 class Partners:
-    """The PCS of a step, as a `pgccd.resolution.rounds.RoundSearch`: rounds search its pairs with a robot that has
-    changed. Robots outside of the PCS never come near at equal times of the step; that a slowed one meets another at
-    unequal times, such as one that follows close behind, is not tested.
+    """All pairs of a step's robots that may meet if robots are stopped or slowed down anywhere on their way, as a
+    `pgccd.resolution.rounds.RoundSearch`: rounds search those with a robot that has changed. The PCS would not suffice:
+    it is of equal times, and a robot may run into another that stopped in its way, although the two never come near at
+    equal times of their whole paths.
+
+    A robot that is slowed down moves on a part of its path, so two that meet then are near at two times of their whole
+    paths, and `pgccd.detection.parts.pairs_of_rounds` has the pair. No broad phase is needed in a round.
 
     Args:
         model: the rules.
         own, ghosts: `moving_columns` of planned states; rows of ghosts follow those of own robots.
-        pairs: (P, 2) int64 rows, the robot with the smaller id first; rows of -1 are padding.
+        pairs: `pairs_of_rounds`: (P, 2) int64 rows, the robot with the smaller id first; rows of -1 are padding.
     """
 
     def __init__(self, model: Model, own: dict[str, Tensor], ghosts: dict[str, Tensor] | None, pairs: Tensor) -> None:
@@ -34,7 +38,7 @@ class Partners:
         self._copies = pairs[:0]
 
     def look_among(self, pairs: Tensor) -> None:
-        """Replaces the PCS."""
+        """Replaces the pairs."""
         self._pairs = pairs
 
     def start_round(self, changed: Tensor, fraction: Tensor, capacity: BufferSizes, first: Tensor) -> Tensor:
@@ -52,7 +56,7 @@ class Partners:
         return together
 
     def _pieces(self, capacity: BufferSizes) -> int:
-        """Number of parts in which the PCS is searched sequentially to fit into memory; at most one per pair."""
+        """Number of parts in which the pairs are searched sequentially to fit into memory; at most one per pair."""
         limit = memory_limit(None, capacity.bytes, self._pairs.device)
         return max(1, min(-(-capacity.bytes // limit), len(self._pairs)))
 

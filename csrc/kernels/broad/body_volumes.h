@@ -21,6 +21,9 @@ struct BroadBodies {
   double tolerance;  // as in pair_tolerance
   // Nonzero if the input is invalid, which the host has not read yet; no pairs are then found. May be null.
   const int64_t* is_invalid = nullptr;
+  // Whether pairs are found that may meet if each body is stopped or slowed down on its way: at two times of their
+  // whole paths, equal or not.
+  bool at_any_times = false;
 
   PGCCD_HD bool invalid() const { return is_invalid != nullptr && *is_invalid != 0; }
   // Padding rows have a negative radius. No broad phase pairs them, and they reach no cell.
@@ -40,26 +43,8 @@ PGCCD_HD bool may_collide(const BroadBodies& bodies, int64_t i, int64_t j) {
 // Smaller distances may underflow when squared, and count as zero.
 constexpr double kVanishing = 0x1p-500;
 
-// True if the moving spheres come within separation + tolerance (what the narrow phase may report) at some time of the
-// step. Never false if they do in exact arithmetic. Requires i < j, since the order affects the last bit.
-PGCCD_HD bool is_potentially_colliding(const BroadBodies& bodies, int64_t i, int64_t j) {
-  if (!may_collide(bodies, i, j) || bodies.is_absent(i) || bodies.is_absent(j)) return false;
-  const RelativeCentre offset = relative_centre(bodies.centres, i, j);
-  const Vec3<double> travel = offset.at_t1 - offset.at_t0;
-  const double length_squared = norm_squared(travel);
-  double nearest = 0.0;
-  if (length_squared > 0.0) nearest = unit_clamp(-dot(offset.at_t0, travel) / length_squared);
-  // Offsets, travel and the point at `nearest` each have a few roundings of the larger offset; an error of `nearest`
-  // has a second-order effect only.
-  const double rounding = 0x1p-48 * (max_abs(offset.at_t0) + max_abs(offset.at_t1)) + kVanishing;
-  const double kept = bodies.separation + pair_tolerance(bodies.centres, i, j, bodies.tolerance);
-  // 2^-42: the narrow phase computes points of the bodies to within kRigidPointUnits.
-  const double reach = (bodies.centres.radius[i] + bodies.centres.radius[j] + kept) * (1.0 + 0x1p-42) + rounding;
-  return !(norm_squared(offset.at_t0 + nearest * travel) > reach * reach);
-}
-
-// Radius of a CBV grown by half of separation + tolerance, and by the rounding of the predicate. A tolerance relative
-// to the smaller radius is at most that relative to this one.
+// Radius of a CBV grown by half of separation + tolerance, and by the rounding of the predicate below. A tolerance
+// relative to the smaller radius is at most that relative to this one.
 PGCCD_HD double swept_reach(const BroadBodies& bodies, int64_t body, Vec3<double> travel) {
   const double radius = bodies.centres.radius[body];
   const double kept = bodies.separation + (bodies.tolerance < 0.0 ? -bodies.tolerance * radius : bodies.tolerance);
@@ -87,6 +72,63 @@ PGCCD_HD SweptBox swept_box(const BroadBodies& bodies, int64_t body) {
   const Vec3<double> r{reach, reach, reach};
   return {Vec3<double>{smaller(p0.x, p1.x), smaller(p0.y, p1.y), smaller(p0.z, p1.z)} - r,
           Vec3<double>{larger(p0.x, p1.x), larger(p0.y, p1.y), larger(p0.z, p1.z)} + r};
+}
+
+PGCCD_HD bool overlap(const SweptBox& a, const SweptBox& b) {
+  return a.lower.x <= b.upper.x && b.lower.x <= a.upper.x && a.lower.y <= b.upper.y && b.lower.y <= a.upper.y &&
+         a.lower.z <= b.upper.z && b.lower.z <= a.upper.z;
+}
+
+namespace predicate_detail {
+
+PGCCD_HD double kept_distance(const BroadBodies& bodies, int64_t i, int64_t j) {
+  return bodies.separation + pair_tolerance(bodies.centres, i, j, bodies.tolerance);
+}
+
+// Offsets, travel and the point on it each have a few roundings of the larger offset.
+PGCCD_HD double rounding_of(const RelativeCentre& offset) {
+  return 0x1p-48 * (max_abs(offset.at_t0) + max_abs(offset.at_t1)) + kVanishing;
+}
+
+PGCCD_HD bool meet_at_equal_times(const BroadBodies& bodies, int64_t i, int64_t j) {
+  const RelativeCentre offset = relative_centre(bodies.centres, i, j);
+  const Vec3<double> travel = offset.at_t1 - offset.at_t0;
+  const double length_squared = norm_squared(travel);
+  double nearest = 0.0;  // its error has a second-order effect only
+  if (length_squared > 0.0) nearest = unit_clamp(-dot(offset.at_t0, travel) / length_squared);
+  const double rounding = rounding_of(offset);
+  const double kept = kept_distance(bodies, i, j);
+  // 2^-42: the narrow phase computes points of the bodies to within kRigidPointUnits.
+  const double reach = (bodies.centres.radius[i] + bodies.centres.radius[j] + kept) * (1.0 + 0x1p-42) + rounding;
+  return !(norm_squared(offset.at_t0 + nearest * travel) > reach * reach);
+}
+
+PGCCD_HD double half_travel(const BodyCentres& centres, int64_t body) {
+  return 0.5 * norm(load_vec3(centres.position_t1 + 3 * body) - load_vec3(centres.position_t0 + 3 * body));
+}
+
+// By the spheres around whole paths, and by the boxes around them: those of a pair that meets overlap, and the ranks
+// rely on it. The sphere with the path as its diameter contains the box between the ends of the path. So it contains
+// every part of the path as computed, since rounding is monotone. With twice the margins of equal times, every pair
+// that meets at equal times is among these.
+PGCCD_HD bool meet_at_any_times(const BroadBodies& bodies, int64_t i, int64_t j) {
+  if (!overlap(swept_box(bodies, i), swept_box(bodies, j))) return false;
+  const RelativeCentre offset = relative_centre(bodies.centres, i, j);
+  const double half_paths = half_travel(bodies.centres, i) + half_travel(bodies.centres, j);
+  const double radii = bodies.centres.radius[i] + bodies.centres.radius[j];
+  const double reach = (radii + kept_distance(bodies, i, j) + half_paths) * (1.0 + 0x1p-41) + 2.0 * rounding_of(offset);
+  return !(norm_squared(0.5 * (offset.at_t0 + offset.at_t1)) > reach * reach);
+}
+
+}  // namespace predicate_detail
+
+// True if the moving spheres come within separation + tolerance (what the narrow phase may report) at some time of the
+// step; with `at_any_times`, if they may at two times. Never false if they do in exact arithmetic. Requires i < j,
+// since the order affects the last bit.
+PGCCD_HD bool is_potentially_colliding(const BroadBodies& bodies, int64_t i, int64_t j) {
+  if (!may_collide(bodies, i, j) || bodies.is_absent(i) || bodies.is_absent(j)) return false;
+  return bodies.at_any_times ? predicate_detail::meet_at_any_times(bodies, i, j)
+                             : predicate_detail::meet_at_equal_times(bodies, i, j);
 }
 
 PGCCD_HD double component(Vec3<double> v, int axis) { return axis == 0 ? v.x : (axis == 1 ? v.y : v.z); }

@@ -8,6 +8,7 @@
 
 #include "core/scalar.h"
 #include "kernels/broad/body_volumes.h"
+#include "kernels/broad/meeting_item.h"
 #include "kernels/device_context.h"
 #include "kernels/executor.h"
 #include "kernels/padded_pairs.h"
@@ -43,6 +44,11 @@ void find_pairs(const DeviceContext& context, const BroadBodies& bodies, const B
 // are more than `most` pairs.
 void find_pairs_exactly(const Executor& executor, const BroadBodies& bodies, const BroadPhaseChoice& choice,
                         int64_t most, const PairOutput& make_output, int64_t* counts);
+
+// Selects the pairs that meet at equal times: meeting (pairs.count, 2), in the same order, padded with -1; `found` (1,)
+// is their number.
+void meeting_pairs(const Executor& executor, const SweptPairs& pairs, int64_t* meeting, int64_t* found);
+void meeting_pairs(const DeviceContext& context, const SweptPairs& pairs, int64_t* meeting, int64_t* found);
 
 // Sweep and prune. On a device, here and below: at least two bodies.
 void find_pairs_by_sweep(const Executor& executor, const BroadBodies& bodies, int axis, const PairOutput& make_output);

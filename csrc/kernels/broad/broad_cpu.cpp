@@ -2,6 +2,7 @@
 #include <vector>
 
 #include "kernels/broad/broad.h"
+#include "kernels/find_rows.h"
 
 namespace pgccd {
 namespace {
@@ -74,6 +75,14 @@ void find_pairs_exactly(const Executor& executor, const BroadBodies& bodies, con
     find_all(executor, bodies, choice, rows);
   }
   count_pairs(began, count, count <= most ? count : 0, counts);
+}
+
+void meeting_pairs(const Executor& executor, const SweptPairs& pairs, int64_t* meeting, int64_t* found) {
+  require_rows(executor, pairs.count, "pairs", "are padding, or name bodies",
+               [&](int64_t k) { return is_sound(pairs, k); });
+  std::vector<int64_t> kept(static_cast<size_t>(pairs.count));
+  find_rows(executor, pairs.count, kept.data(), found, [&](int64_t k) { return meets(pairs, k); });
+  for (int64_t k = 0; k < pairs.count; ++k) store_meeting_pair(pairs, kept.data(), *found, k, meeting);
 }
 
 }  // namespace pgccd

@@ -1,4 +1,6 @@
 #include "kernels/broad/pair_list.cuh"
+#include "kernels/find_rows.cuh"
+#include "kernels/launch.cuh"
 
 namespace pgccd {
 
@@ -14,6 +16,16 @@ void find_pairs(const DeviceContext& context, const BroadBodies& bodies, const B
     case BroadPhase::kLbvh:
       return find_pairs_by_lbvh(context, bodies, out);
   }
+}
+
+void meeting_pairs(const DeviceContext& context, const SweptPairs& pairs, int64_t* meeting, int64_t* found) {
+  int64_t* kept = context.allocate<int64_t>(pairs.count);
+  find_rows(context, pairs.count, kept, found, [=] __device__(int64_t k) {
+    require_on_device(is_sound(pairs, k), "pairs: expected padding, or bodies");
+    return meets(pairs, k);
+  });
+  for_each_item(context, pairs.count,
+                [=] __device__(int64_t k) { store_meeting_pair(pairs, kept, *found, k, meeting); });
 }
 
 }  // namespace pgccd

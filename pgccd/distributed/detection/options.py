@@ -23,6 +23,8 @@ class Options:
     #: Whether pairs of own bodies are searched while ghosts are sent. The result does not depend on it.
     overlap: bool = True
     initial: Initial = "report"
+    #: Whether parts have the pairs for rounds of resolution: `Part.swept_pairs`.
+    at_any_times: bool = False
 
     def check(self) -> None:
         """Raises TypeError or ValueError, naming the option, if one is invalid."""

@@ -156,7 +156,7 @@ def search_share(
     asked = options.query, options.broad_phase
     with stage("broad"):
         elsewhere = halo.reach if comm.size > 1 else None
-        own_part = find_part(bodies, *asked, None, discard, None, estimates.own, slack, elsewhere)
+        own_part = find_part(bodies, *asked, None, discard, None, estimates.own, slack, elsewhere, options.at_any_times)
     own_pairs_found = side.mark()
     own_part.begin()
     with side, stage("halo wait"):
@@ -190,7 +190,16 @@ def search_share(
                 of_cells = *kept, halo.reach, *decomposition.subdomain
                 return ops.owned_pairs(pairs, rows, held.id, at_boundary.swept_spheres, *of_cells)
 
-            with_ghosts = find_part(at_boundary, *asked, owned, discard, rows, estimates.with_ghosts, slack)
+            with_ghosts = find_part(
+                at_boundary,
+                *asked,
+                select=owned,
+                discard=discard,
+                rows=rows,
+                estimate=estimates.with_ghosts,
+                slack=slack,
+                at_any_times=options.at_any_times,
+            )
         with side.sharing():
             with_ghosts.begin()
         with stage("halo"):

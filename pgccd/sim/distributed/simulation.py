@@ -12,7 +12,7 @@ from torch import Tensor
 
 from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.broad import BroadPhase
-from pgccd.detection.parts import pairs_of_step
+from pgccd.detection.parts import pairs_of_rounds
 from pgccd.distributed.comm.exchange import Columns, take_rows
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.detection.options import Options
@@ -154,6 +154,7 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
             initial=query.initial,
             broad_phase=broad_phase,
             overlap=overlap,
+            at_any_times=True,
         )
         graph = can_replay(comm, model.device) if graph is None else graph
         state = RobotState(**take_rows(state.columns, torch.argsort(state.id)))
@@ -216,7 +217,7 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
 
         def beside(share: Share) -> tuple[HeldExchange, Partners]:
             exchange = HeldExchange.start(share, self._rank.decomposition)
-            return exchange, Partners(self.model, own, share.held.ghosts, pairs_of_step(share.parts))
+            return exchange, Partners(self.model, own, share.held.ghosts, pairs_of_rounds(share.parts))
 
         share, (exchange, partners) = self._rank.search(own, bodies, self._complete, self.options, clock, beside)
         after: RobotState = planned
@@ -309,7 +310,7 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
         def beside(share: Share) -> tuple[HeldExchange, Partners]:
             exchange = HeldExchange.start(share, decomposition, sizes.common, self.comm.peer_messages)
             share.parts[-1].first_contacts()
-            return exchange, Partners(self.model, own, share.held.ghosts, pairs_of_step(share.parts))
+            return exchange, Partners(self.model, own, share.held.ghosts, pairs_of_rounds(share.parts))
 
         share, (exchange, partners) = search_share(
             decomposition,
