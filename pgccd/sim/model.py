@@ -193,9 +193,15 @@ class Model:
         self._integers = WorldIntegers(
             config.robots, *self.cells, PATTERNS.index(config.pattern), config.seed, *config.stay_steps
         )
-        changes = 1.0 / config.course_steps, 1.0 / config.resume_steps
         self._scales = WorldScales(
-            self.radius, config.spacing, config.speed, config.spin, *changes, config.arrival, config.crowd
+            self.radius,
+            config.spacing,
+            config.speed,
+            config.spin,
+            1.0 / config.course_steps,
+            1.0 / config.resume_steps,
+            config.arrival,
+            config.crowd,
         )
 
     def start(self, id: Tensor | None = None) -> RobotState:

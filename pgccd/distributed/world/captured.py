@@ -219,10 +219,12 @@ class _WorldGraph(TransactionGraph[_Committed]):
         scene = scene_of(world._meshes, columns)
         scene._leave_out(id < 0)
         moving = MovingBodies.of(scene, motion, wait=False)
-        asked = self._decomposition, columns_to_send(id, moving), moving, lambda ghosts: ghosts
         # The rows of contacts with ghosts are found concurrently with the search of own pairs.
         share, _ = search_share(
-            *asked,
+            self._decomposition,
+            columns_to_send(id, moving),
+            moving,
+            lambda ghosts: ghosts,
             world.options,
             world._rank.estimates,
             beside=lambda share: share.parts[-1].first_contacts(),

@@ -288,8 +288,8 @@ class World(Generic[R]):
         Example:
             >>> world.save("out/world")
         """
-        space = self._meshes, self._cut, self.partition
-        return save_state(self.comm, folder, WorldState(*space, self.columns, self._vertices, self.steps_made))
+        state = WorldState(self._meshes, self._cut, self.partition, self.columns, self._vertices, self.steps_made)
+        return save_state(self.comm, folder, state)
 
     @property
     def partition(self) -> Partition:
@@ -389,9 +389,15 @@ class World(Generic[R]):
         clock = StageClock()
         with clock.stage("plan"):
             bodies = MovingBodies.of(scene, motion, wait=False)
-        own = columns_to_send(id, bodies)
-        asked = own, bodies, lambda ghosts: ghosts, options, clock
-        share, _ = self._rank.search(*asked, beside=lambda _: None, vertices=vertices)
+        share, _ = self._rank.search(
+            columns_to_send(id, bodies),
+            bodies,
+            lambda ghosts: ghosts,
+            options,
+            clock,
+            beside=lambda _: None,
+            vertices=vertices,
+        )
         clock.add(search_seconds(share.contacts.stats))
         self.found, self._seconds, self.steps_made = share, clock.work, self.steps_made + 1
         return share

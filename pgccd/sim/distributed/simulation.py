@@ -158,8 +158,9 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
         graph = can_replay(comm, model.device) if graph is None else graph
         state = RobotState(**take_rows(state.columns, torch.argsort(state.id)))
         expected = Census.of_range(comm, model.config.robots)
-        how = balance or BalanceOptions(), options, graph
-        simulation = cls(Decomposition(comm, partition), model, state, expected, *how)
+        simulation = cls(
+            Decomposition(comm, partition), model, state, expected, balance or BalanceOptions(), options, graph
+        )
         simulation._migrate(state)
         simulation.verify()
         return simulation
@@ -230,8 +231,7 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
                 counted = count_step(after, fraction, share.held.id, *share.first_contacts())
                 return torch.cat([counted, self._host_numbers(share)])
 
-        held = share.parts, len(share.held), partners
-        resolved = resolve_collisions(*held, self._plan, conclude, clock, exchange)
+        resolved = resolve_collisions(share.parts, len(share.held), partners, self._plan, conclude, clock, exchange)
         reports = Reports.of(resolved.work, resolved.conclusions)
         resolved.learn()  # so that reading the contacts does not synchronise
         moved_cells = 0
@@ -295,8 +295,17 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
             self._notes[:1].zero_()
             return concluded
 
-        rounds = self._recent.to_capture, self._recent.usual
-        return StepGraph(self.model, self._state, index, search, self._plan, *rounds, conclude, rows)
+        return StepGraph(
+            self.model,
+            self._state,
+            index,
+            search,
+            self._plan,
+            self._recent.to_capture,
+            self._recent.usual,
+            conclude,
+            rows,
+        )
 
     def _search_padded(
         self, planned: RobotState, discard: Tensor, decomposition: Decomposition, sizes: HaloSizes
