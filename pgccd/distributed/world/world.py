@@ -52,6 +52,15 @@ class World(Generic[R]):
     Bodies migrate to the rank that owns the cell of their position, at the beginning and after each `move`. Rows of
     `id`, `position`, `mesh_index` and `payload` are those of this rank's own bodies, by ascending id.
 
+    Attributes:
+        comm: between the ranks.
+        options: of the detection.
+        path: of the motions of rigid bodies: "arc" or "linear".
+        census: number and sum of the ids of all bodies, which migration preserves.
+        columns: of this rank's own bodies, by name; names of the payload begin with ".".
+        steps_made: number of steps made.
+        found: pairs and contacts of the last step; None before the first.
+
     Example:
         >>> world = pgccd.distributed.World.create([rock], (0, 0, 0), (9, 9, 9), x, payload={"velocity": v}, comm=comm)
         >>> hits = world.step(pgccd.RigidMotion.from_velocity(world.position, q, world.payload["velocity"], w, dt=0.1))
@@ -70,7 +79,7 @@ class World(Generic[R]):
         self._rank = Rank(Decomposition(comm, state.partition), balance)
         self._meshes, self._cut = state.meshes, state.cut
         self.census = census
-        self.found: Share | None = None  #: pairs and contacts of the last step
+        self.found: Share | None = None
         self.steps_made, self._seconds = state.steps_made, 0.0
         self.columns, self._vertices = state.columns, state.vertices
         self._scene: Scene | None = None

@@ -76,14 +76,23 @@ class CommittedRankStep:
 
 @dataclass
 class RankStep:
-    """One rank's part of a step run launch by launch."""
+    """One rank's part of a step run launch by launch.
 
-    index: int  #: from 0
-    before: RobotState  #: own robots, as planned
-    resolution: Fractions  #: of the held robots
-    stop_requested: bool  #: on any rank
-    share: Share  #: pairs and contacts of the whole step
-    make_record: Callable[[], dict[str, Any]]  #: computes `record`
+    Attributes:
+        index: of the step, from 0.
+        before: own robots, as planned.
+        resolution: the part of the step that each held robot moves.
+        stop_requested: whether the run was asked to stop, on any rank.
+        share: pairs and contacts of the whole step.
+        make_record: computes `record`.
+    """
+
+    index: int
+    before: RobotState
+    resolution: Fractions
+    stop_requested: bool
+    share: Share
+    make_record: Callable[[], dict[str, Any]]
 
     @cached_property
     def record(self) -> dict[str, Any]:
@@ -97,6 +106,11 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
     With NCCL, consecutive steps are replays of one CUDA graph per rank, messages included: see `pgccd.sim.replay`.
     Cells and robots change owners only in steps run launch by launch, so robots that leave their rank's cells migrate
     later.
+
+    Attributes:
+        comm: between the ranks.
+        model: the rules.
+        options: of the detection.
 
     Example:
         >>> simulation = DistributedSimulation.create(comm, model, partition, starting_share(comm, model))
