@@ -191,3 +191,45 @@ def test_attributes_are_in_the_help() -> None:
             if not (inspect.getdoc(getattr(type(each), name)) if is_defined else name in known):
                 unknown.append(f"{type(each).__name__}.{name}")
     assert unknown == []
+
+
+def public_classes() -> list[type]:
+    """The classes that the packages for simulations, ranks and pictures make public."""
+    packages = (distributed, sim, sim.distributed, pgccd.viz)
+    classes = {getattr(package, name) for package in packages for name in package.__all__}
+    return sorted((each for each in classes if inspect.isclass(each)), key=lambda each: each.__qualname__)
+
+
+def own_bases(cls: type) -> list[type]:
+    return [base for base in cls.__mro__ if base.__module__.startswith("pgccd")]
+
+
+@pytest.mark.parametrize("cls", public_classes())
+def test_attributes_of_classes_are_in_their_docstrings(cls: type) -> None:
+    """Every public attribute that a class declares or sets has an entry in its docstring or in that of a base class, or
+    is a property with a docstring. No comment documents it instead, which `help` does not show.
+    """
+    assert cls.__doc__
+    entries, names = set(), set()
+    for base in own_bases(cls):
+        source = inspect.getsource(base)
+        assert "#:" not in source, f"{base.__name__}: attributes belong in its docstring"
+        for line in re.findall(r"^ {8}(\w+(?:, \w+)*): ", base.__doc__ or "", re.MULTILINE):
+            entries |= set(line.split(", "))
+        names |= {*vars(base), *inspect.get_annotations(base), *re.findall(r"\bself\.(\w+)(?:: [^=\n]+)? = ", source)}
+        names |= {
+            name
+            for line in re.findall(r"^ +((?:self\.\w+, )+self\.\w+) = ", source, re.MULTILINE)
+            for name in re.findall(r"self\.(\w+)", line)
+        }
+    unknown = []
+    for name in sorted(name for name in names - entries if not name.startswith("_")):
+        members = [vars(base)[name] for base in own_bases(cls) if name in vars(base)]
+        defined = [each for each in members if callable(each) or hasattr(type(each), "__get__")]
+        if not any(inspect.getdoc(getattr(each, "func", each)) for each in defined):
+            unknown.append(name)
+    assert unknown == []
+
+
+def test_public_classes_are_found() -> None:
+    assert {pgccd.viz.Snapshot, sim.Model, sim.distributed.RankStep, distributed.World} <= set(public_classes())

@@ -47,6 +47,12 @@ def test_every_operator_is_declared_and_wrapped() -> None:
     assert len(OPERATORS) >= 15
 
 
+def test_wrappers_are_exported() -> None:
+    for path in Path(ops.__file__).parent.glob("*.py"):
+        for name in re.findall(r"^@operator(?:_of_bodies)?\ndef ([a-z]\w*)\(", path.read_text(), re.MULTILINE):
+            assert hasattr(ops, name), f"{path.name}: {name} is not in pgccd/ops/__init__.py"
+
+
 @pytest.mark.parametrize("key", ["CPU", "Meta"])
 def test_every_operator_has_a_kernel(key: str) -> None:
     assert operators_with(key) == [name for name in OPERATORS if key != "CPU" or name not in ON_CUDA_ALONE]

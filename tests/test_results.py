@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -46,6 +46,19 @@ def test_contacts_are_compared_bit_by_bit(
         assert hits != other, name
     with pytest.raises(TypeError, match="unhashable"):
         hash(hits)
+
+
+@pytest.mark.parametrize("report", get_args(pgccd.narrow.ContactReport))
+@pytest.mark.parametrize("make", [of_one_step, along_a_trajectory])
+def test_no_report_has_a_late_toi(make: Callable[..., pgccd.Contacts], report: str, device: torch.device) -> None:
+    """Whichever contacts a report keeps: they are contacts of "all", and `first_toi` is not that of later ones."""
+    every, hits = make(device, "all"), make(device, report)
+    assert len(set(every.toi.tolist())) > 1
+    assert torch.equal(hits.first_toi(), every.first_toi())
+    rows = [
+        {str(row) for row in zip(*(c.tolist() for c in each.columns.values()), strict=True)} for each in (every, hits)
+    ]
+    assert rows[1] <= rows[0]
 
 
 def test_padded_contacts_are_compared() -> None:

@@ -164,8 +164,9 @@ class PCCCD:
         with clock.stage("narrow"):
             found = MovingBodies.of_columns(self._meshes, columns, motion.path == "linear")
             pairs, candidates = feature_candidates(found, triangle_pairs, self._query.tests_start)
-            rest = (pairs, candidates, *self._query.settings, narrow.REPORTS[self._query.report])
-            row, *rows = ops.narrow(found.operands, *rest)
+            row, *rows = ops.narrow(
+                found.operands, pairs, candidates, *self._query.settings, narrow.REPORTS[self._query.report]
+            )
         with clock.stage("report"):
             of_contacts = pairs[row.long()]
             contacts = dict(zip(COLUMNS, (columns["id"][of_contacts], *rows), strict=True))

@@ -275,11 +275,28 @@ def _rigid(scene: Scene, columns: Mapping[str, Tensor]) -> list[Tensor]:
 
 def _deforming(scene: Scene, columns: Mapping[str, Tensor]) -> list[Tensor]:
     layout = scene.layout
-    vertices, begins = tuple(columns.values()), (layout.vertex_begin, layout.block_begin)
-    if len(vertices[0]) != layout.vertex_count:
+    x_t0, x_t1 = columns.values()
+    if len(x_t0) != layout.vertex_count:
         expected = f"the scene's bodies have {layout.vertex_count}"
-        raise ValueError(f"motion: x_t0 has {len(vertices[0])} vertices, {expected}")
+        raise ValueError(f"motion: x_t0 has {len(x_t0)} vertices, {expected}")
     position_t0, position_t1, radius, blocks_t0, blocks_t1 = ops.refit(
-        scene.meshes.tensors, scene._sound_index(), vertices[0], vertices[1], *begins, layout.block_count
+        scene.meshes.tensors,
+        scene._sound_index(),
+        x_t0,
+        x_t1,
+        layout.vertex_begin,
+        layout.block_begin,
+        layout.block_count,
     )
-    return [scene.mesh_index, position_t0, position_t1, radius, *vertices, blocks_t0, blocks_t1, *begins]
+    return [
+        scene.mesh_index,
+        position_t0,
+        position_t1,
+        radius,
+        x_t0,
+        x_t1,
+        blocks_t0,
+        blocks_t1,
+        layout.vertex_begin,
+        layout.block_begin,
+    ]

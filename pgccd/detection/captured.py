@@ -15,7 +15,6 @@ from pgccd.detection.query import Query
 from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
 from pgccd.motion.faults import Faults
 from pgccd.motion.paths import RigidMotion, VertexMotion
-from pgccd.runtime.attempts import TooSmall, until_it_fits
 from pgccd.runtime.graph import Graph, capture
 from pgccd.runtime.host_copy import HostCopy
 
@@ -127,8 +126,13 @@ class CapturedDetection(Generic[P]):
         if not isinstance(motion, (RigidMotion, VertexMotion)):
             kinds = "a pgccd.RigidMotion or pgccd.VertexMotion"
             raise TypeError(f"motion: expected {kinds}, got {arguments.describe(motion)}")
-        of_query = options.get("tolerance"), options.get("nonzero_toi", False), options.get("initial", "report")
-        Query(report, min_separation, *of_query)  # checks them
+        Query(  # checks them
+            report,
+            min_separation,
+            options.get("tolerance"),
+            options.get("nonzero_toi", False),
+            options.get("initial", "report"),
+        )
         arguments.choice(options.get("broad_phase", "auto"), "broad_phase", broad.BROAD_PHASES)
         if capacity is not None:
             sizes_of(capacity)
@@ -196,16 +200,14 @@ class CapturedDetection(Generic[P]):
         """
         padded = self.replay() if self._found is None else self._found
         self._records.pop(self._call_of_found, None)  # read now instead of two calls later
-
-        def attempt(padded: PaddedContacts | PaddedCollidingPairs) -> Contacts | CollidingPairs | TooSmall[P]:
+        while True:
             try:
-                return padded.trim()
+                found = padded.trim()
             except CapacityError as error:
                 self._grow(error)
-                return TooSmall(self._run())
-
-        found: Contacts | CollidingPairs = until_it_fits(attempt, padded)
-        return found.clone() if self.is_graph else found
+                padded = self._run()
+            else:
+                return found.clone() if self.is_graph else found
 
     @property
     def is_graph(self) -> bool:
@@ -275,16 +277,18 @@ class CapturedDetection(Generic[P]):
         return [*columns, *of_motion, written]
 
     def _estimate(self) -> Capacity:
-        given = self.scene, self.motion, self._report, self._min_separation
-        needed = detect(*given, **self._options).stats.needed
+        found = detect(self.scene, self.motion, self._report, self._min_separation, **self._options)
+        needed = found.stats.needed
         if needed is None:
             raise ValueError("motion: this step does not fit in memory in one pass; use pgccd.detect")
         return needed.times(_SLACK)
 
     def _detect(self) -> P:
         assert self.capacity is not None
-        given = self.scene, self.motion, self._report, self._min_separation
-        return cast(P, detect(*given, capacity=self.capacity, **self._options))
+        found = detect(
+            self.scene, self.motion, self._report, self._min_separation, capacity=self.capacity, **self._options
+        )
+        return cast(P, found)
 
     def __repr__(self) -> str:
         return f"CapturedDetection(bodies={self.scene.body_count}, graph={self.is_graph}, device={self.scene.device})"

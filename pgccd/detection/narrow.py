@@ -157,8 +157,9 @@ def _solve(
 ) -> ElementaryResult:
     points_t0, points_t1 = _queries(points_t0, points_t1)
     tolerance = _ELEMENTARY_TOLERANCE if tolerance is None else arguments.length(tolerance, "tolerance")
-    settings = check_separation(min_separation), tolerance, arguments.flag(nonzero_toi, "nonzero_toi")
-    return ElementaryResult(*test(points_t0, points_t1, *settings))
+    min_separation = check_separation(min_separation)
+    nonzero_toi = arguments.flag(nonzero_toi, "nonzero_toi")
+    return ElementaryResult(*test(points_t0, points_t1, min_separation, tolerance, nonzero_toi))
 
 
 def find_contacts(
@@ -193,9 +194,15 @@ def find_contacts(
         candidates,
     )
     arguments.choice(report, "report", REPORTS)
-    settings = (check_separation(min_separation), operator_tolerance(tolerance))
-    rest = (*settings, arguments.flag(nonzero_toi, "nonzero_toi"), REPORTS[report])
-    rows = ops.narrow(bodies.operands, pairs, candidates.contiguous(), *rest)
+    rows = ops.narrow(
+        bodies.operands,
+        pairs,
+        candidates.contiguous(),
+        check_separation(min_separation),
+        operator_tolerance(tolerance),
+        arguments.flag(nonzero_toi, "nonzero_toi"),
+        REPORTS[report],
+    )
     return take_earliest(rows) if report == "earliest" else rows
 
 

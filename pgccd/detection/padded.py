@@ -127,8 +127,16 @@ def search_padded(
         pair_counts = counts_of_given(pairs) if pair_counts is None else pair_counts
         if not bodies.checked:
             pair_counts = pair_counts * (1 - faults[-1:])
-    rest = (pairs, pair_counts, faults, *query.settings, query.tests_start, narrow.REPORTS[query.report])
-    *rows, counts = ops.contacts_padded(bodies.operands, *rest, capacity.of_contacts)
+    *rows, counts = ops.contacts_padded(
+        bodies.operands,
+        pairs,
+        pair_counts,
+        faults,
+        *query.settings,
+        query.tests_start,
+        narrow.REPORTS[query.report],
+        capacity.of_contacts,
+    )
     return Search(bodies, query, capacity, chosen or "given", tuple(rows), counts)  # type: ignore[arg-type]
 
 
@@ -155,7 +163,6 @@ def search_rigid(
     checks, limits = bodies._operator_checks
     reach = torch.empty_like(bodies.reach) if marks_invalid and faults is None else None
     chosen = broad.choose(bodies, broad_phase)
-    min_separation, tolerance, nonzero_toi = query.settings
     *rows, counts = ops.detect_rigid(
         bodies.mesh_set,
         bodies.tensors,
@@ -167,9 +174,7 @@ def search_rigid(
         more,
         [*checks, *(CHECK_NUMBERS[column.check.kind] for column in of_scene)],
         [*limits, *(column.check.limit for column in of_scene)],
-        min_separation,
-        tolerance,
-        nonzero_toi,
+        *query.settings,
         query.tests_start,
         narrow.REPORTS[query.report],
         broad.BROAD_PHASE_NUMBERS[chosen],
@@ -204,5 +209,14 @@ def lower_first_toi(
     Returns:
         Counts (21,); `contacts` is the number of pairs with a contact.
     """
-    rest = (*query.settings, capacity.of_contacts[:-1])  # no contacts are written
-    return ops.lower_first_toi_rigid(first, owners, mesh_set, tensors, linear_path, pairs, pair_counts, *rest)
+    return ops.lower_first_toi_rigid(
+        first,
+        owners,
+        mesh_set,
+        tensors,
+        linear_path,
+        pairs,
+        pair_counts,
+        *query.settings,
+        capacity.of_contacts[:-1],  # no contacts are written
+    )

@@ -61,8 +61,9 @@ class Part:
     def start(self) -> Search:
         """Starts the search, unless it has been started. Does not synchronise."""
         if self._search is None:
-            given = self.pair_counts, self.capacity, self.estimate
-            self._search = start_search(self.bodies, self.query, self.pairs, *given)
+            self._search = start_search(
+                self.bodies, self.query, self.pairs, self.pair_counts, self.capacity, self.estimate
+            )
             # Read now: another search may start before the counts are read.
             self._scratch_bytes = ops.take_scratch_peak() if self.pairs.is_cuda else 0
         return self._search

@@ -54,8 +54,14 @@ def find_candidates(
         check_tensor(horizon, "horizon", torch.float64, pairs.shape[:1], pairs.device)
         arguments.refuse_gradient(horizon, "horizon")
         require((horizon >= 0.0) & (horizon <= 1.0), "horizon: expected times in [0, 1]", horizon)
-    settings = (check_separation(min_separation), operator_tolerance(tolerance), tests_start(initial))
-    return ops.traverse(bodies.operands, pairs, horizon, *settings)
+    return ops.traverse(
+        bodies.operands,
+        pairs,
+        horizon,
+        check_separation(min_separation),
+        operator_tolerance(tolerance),
+        tests_start(initial),
+    )
 
 
 def __dir__() -> list[str]:

@@ -165,8 +165,16 @@ class _Step:
         faults = HostCopy.start(first_faults)
         part = find_part(bodies, query, self.broad_phase, estimate=plan.pairs)
         stoppers, search = self._search(motion, may_wait=True)
-        given = [part], scene.body_count, search, plan.rounds, _nothing, StageClock()
-        resolved = resolve_collisions(*given, fixed=self.fixed, stoppers=stoppers)
+        resolved = resolve_collisions(
+            [part],
+            scene.body_count,
+            search,
+            plan.rounds,
+            _nothing,
+            StageClock(),
+            fixed=self.fixed,
+            stoppers=stoppers,
+        )
         bodies._raise_faults(faults.numpy().tolist())
         resolved.learn()
         fraction, contacts = resolved.resolution.fraction, part.find()
@@ -184,8 +192,10 @@ class _Step:
     def resolve_padded(self, motion: M, capacity: BufferSizes, rounds: int) -> PaddedResolution[M]:
         bodies, scene, query = self.bodies, self.bodies.scene, self.query
         faults = bodies._first_faults()
-        chosen, kept = broad.choose(bodies, self.broad_phase), (query.min_separation, query.tolerance)
-        pairs, counts = broad.find_pairs_padded(bodies, kept[0], chosen, capacity, faults[-1:], kept[1])
+        chosen = broad.choose(bodies, self.broad_phase)
+        pairs, counts = broad.find_pairs_padded(
+            bodies, query.min_separation, chosen, capacity, faults[-1:], query.tolerance
+        )
         part = Part(query, bodies, pairs, counts, capacity=capacity)
         part.start()
         stoppers, search = self._search(motion, may_wait=False)
@@ -224,8 +234,10 @@ class _Step:
     def _search(self, motion: RigidMotion | VertexMotion, may_wait: bool) -> tuple[Stoppers, ShortenedSearch]:
         bodies, scene = self.bodies, self.bodies.scene
         stoppers = Stoppers(scene.body_count, scene.device)
-        given = scene, motion, self.query, self.broad_phase, bodies._first_faults()[-1:], stoppers, may_wait
-        return stoppers, ShortenedSearch(*given)
+        search = ShortenedSearch(
+            scene, motion, self.query, self.broad_phase, bodies._first_faults()[-1:], stoppers, may_wait
+        )
+        return stoppers, search
 
     @property
     def _any(self) -> Query:

@@ -43,15 +43,21 @@ _CONTACTS = COUNT_ROWS["contacts"]
 
 @dataclass
 class Fractions:
-    """The part of the step that each body moves such that none collides."""
+    """The part of the step that each body moves such that none collides.
 
-    fraction: Tensor  #: (N,) float64 in [0, 1]; below 1 for bodies that would collide
-    rounds: int  #: detections after the first
-    secondary_contacts: int  #: contacts found in rounds: with bodies that had stopped in the way
+    Attributes:
+        fraction: (N,) float64 in [0, 1]; below 1 for bodies that would collide.
+        rounds: detections after the first.
+        secondary_contacts: contacts found in rounds: with bodies that had stopped in the way.
+    """
+
+    fraction: Tensor
+    rounds: int
+    secondary_contacts: int
 
     @property
     def stopped(self) -> Tensor:
-        """(N,) bool."""
+        """(N,) bool: whether the body moves less than the whole step."""
         return self.fraction < 1.0
 
 

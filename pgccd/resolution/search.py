@@ -66,15 +66,16 @@ class ShortenedSearch:
     def _exactly(self, bodies: MovingBodies, changed: Tensor) -> Part:
         pairs = torch.empty((0, 2), dtype=torch.int64, device=bodies.device)
         if not int(self.invalid):
-            kept = self.query.min_separation, self.query.tolerance
-            pairs = broad.find_pairs_of_checked(bodies, kept[0], broad.choose(bodies, self.broad_phase), kept[1])
+            chosen = broad.choose(bodies, self.broad_phase)
+            pairs = broad.find_pairs_of_checked(bodies, self.query.min_separation, chosen, self.query.tolerance)
         part = Part(self.query, bodies, pairs[has_changed(pairs, changed)])
         part.find()
         return part
 
     def _within(self, bodies: MovingBodies, changed: Tensor, capacity: BufferSizes) -> Part:
-        kept = self.query.min_separation, self.query.tolerance
-        pairs, counts = broad.find_pairs_padded(bodies, kept[0], self.broad_phase, capacity, self.invalid, kept[1])
+        pairs, counts = broad.find_pairs_padded(
+            bodies, self.query.min_separation, self.broad_phase, capacity, self.invalid, self.query.tolerance
+        )
         pairs, count = select_rows(pairs, has_changed(pairs, changed))
         row = COUNT_ROWS["pairs_written"]
         counts[row : row + 1].copy_(count)

@@ -26,12 +26,19 @@ _LAYOUT = {
 
 @dataclass
 class Header:
-    """A run between two steps, without its robots."""
+    """A run between two steps, without its robots.
+
+    Attributes:
+        config: of the world.
+        steps_made: number of steps made.
+        steps_wanted: number of steps after which the run ends.
+        meshes: the meshes' `meshes_digest`.
+    """
 
     config: ModelConfig
     steps_made: int
     steps_wanted: int
-    meshes: str  #: the meshes' `meshes_digest`
+    meshes: str
 
     @property
     def plain(self) -> dict[str, Any]:
@@ -41,9 +48,13 @@ class Header:
 
 @dataclass
 class Checkpoint(Header):
-    """A run between two steps, with its robots."""
+    """A run between two steps, with its robots.
 
-    state: RobotState  #: of all robots, ids ascending, on the CPU
+    Attributes:
+        state: of all robots, ids ascending, on the CPU.
+    """
+
+    state: RobotState
 
 
 class StoredCheckpoint(Stored):

@@ -28,6 +28,21 @@ _MOVING = ("id", "position", "orientation", "velocity", "angular_velocity")
 class ModelConfig:
     """Configuration of a world. Lengths are in units of the largest SBV radius of its meshes.
 
+    Attributes:
+        robots: their number, below 2^31.
+        pattern: "random": straight courses in random directions. "skewed": each robot moves to one of the eight corners
+            of the box (first the nearest), stays there for some time, then moves to another (along an edge; a robot
+            that is blocked turns to the nearest).
+        seed: any int64.
+        spacing: lattice spacing at the start, > 2. With 2.56 the SBVs fill 25 % of the box.
+        speed: mean displacement per step; that of a robot is 0.5 to 1.5 times this.
+        spin: largest rotation per step, radians.
+        course_steps: mean number of steps on one course (random, and while staying in a corner).
+        resume_steps: mean number of steps after which a robot that was reversed turns to its corner again.
+        stay_steps: shortest and longest stay in a corner, steps.
+        arrival: distance from the corner at which a robot has arrived, relative to the smallest box edge.
+        crowd: a robot reversed within this distance of its corner, by other robots there, stays too.
+
     Raises:
         ValueError: naming the field.
 
@@ -35,21 +50,17 @@ class ModelConfig:
         >>> config = pgccd.sim.ModelConfig(robots=1000, pattern="skewed", seed=7)
     """
 
-    robots: int = 10_000  #: below 2^31
-    #: "random": straight courses in random directions. "skewed": each robot moves to one of the eight corners of the
-    #: box (first the nearest), stays there for some time, then moves to another (along an edge; a robot that is blocked
-    #: turns to the nearest).
+    robots: int = 10_000
     pattern: Pattern = "random"
-    seed: int = 0  #: any int64
-    #: Lattice spacing at the start, > 2. With 2.56 the SBVs fill 25 % of the box.
+    seed: int = 0
     spacing: float = 2.56
-    speed: float = 0.1  #: mean displacement per step; that of a robot is 0.5 to 1.5 times this
-    spin: float = 0.1  #: largest rotation per step, radians
-    course_steps: float = 32.0  #: mean number of steps on one course (random, and while staying in a corner)
-    resume_steps: float = 8.0  #: mean number of steps after which a robot that was reversed turns to its corner again
-    stay_steps: tuple[int, int] = (100, 300)  #: shortest and longest stay in a corner
-    arrival: float = 0.1  #: distance from the corner at which a robot has arrived, relative to the smallest box edge
-    crowd: float = 0.5  #: a robot reversed within this distance of its corner, by other robots there, stays too
+    speed: float = 0.1
+    spin: float = 0.1
+    course_steps: float = 32.0
+    resume_steps: float = 8.0
+    stay_steps: tuple[int, int] = (100, 300)
+    arrival: float = 0.1
+    crowd: float = 0.5
 
     def __post_init__(self) -> None:
         arguments.choice(self.pattern, "pattern", PATTERNS)
@@ -121,21 +132,32 @@ def lattice_cells(robots: int) -> tuple[int, int, int]:
 
 @dataclass
 class RobotState:
-    """Robots as columns on one device: any subset of a world's robots, ids ascending."""
+    """Robots as columns on one device: any subset of a world's robots, ids ascending.
 
-    id: Tensor  #: (N,) int64, stable global ids
-    position: Tensor  #: (N, 3) float64, SBV centres, world frame, length units
-    orientation: Tensor  #: (N, 4) float64 unit quaternions (w, x, y, z)
-    velocity: Tensor  #: (N, 3) float64, length units per step
-    angular_velocity: Tensor  #: (N, 3) float64, world frame, radians per step
-    target: Tensor  #: (N,) int64: the target corner 0 to 7 (bit k: upper end of axis k), -1 if none
-    stay_until: Tensor  #: (N,) int64: the step in which its stay there ends, -1 while it is moving there
+    Attributes:
+        id: (N,) int64, stable global ids.
+        position: (N, 3) float64, SBV centres, world frame, length units.
+        orientation: (N, 4) float64 unit quaternions (w, x, y, z).
+        velocity: (N, 3) float64, world frame, length units per step.
+        angular_velocity: (N, 3) float64, world frame, radians per step.
+        target: (N,) int64: the target corner 0 to 7 (bit k: upper end of axis k), -1 if none.
+        stay_until: (N,) int64: the step in which its stay there ends, -1 while it is moving there.
+    """
+
+    id: Tensor
+    position: Tensor
+    orientation: Tensor
+    velocity: Tensor
+    angular_velocity: Tensor
+    target: Tensor
+    stay_until: Tensor
 
     def __len__(self) -> int:
         return self.id.shape[0]
 
     @property
     def columns(self) -> dict[str, Tensor]:
+        """All columns, by name."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
     @property
@@ -148,6 +170,7 @@ class RobotState:
         return RobotState(*map(change, self.columns.values()))
 
     def to(self, device: torch.device | str) -> RobotState:
+        """The state on another device."""
         return self.map(lambda column: column.to(device))
 
 
@@ -162,6 +185,15 @@ class Model:
         meshes: the kinds of robots, each with origin="centroid"; the robot with id k is of kind k modulo their number.
             Default: `robot_mesh()`.
         device: of states and scenes.
+
+    Attributes:
+        config: of the world.
+        meshes: the kinds of robots.
+        device: of states and scenes.
+        radius: largest SBV radius, length units.
+        cells: number of lattice cells along x, y and z.
+        half_extent: upper ends of the box, which is centred on the origin, length units; the SBVs of robots stay
+            inside.
 
     Raises:
         ValueError: the origin of a mesh is not its centroid.
@@ -185,17 +217,21 @@ class Model:
                     f'meshes[{index}]: robots turn about their SBV centres: expected a Mesh with origin="centroid", '
                     f"got one whose SBV centre is {mesh.centre_offset.tolist()} from its origin"
                 )
-        #: Largest SBV radius, length units.
         self.radius = max(mesh.radius for mesh in self.meshes.meshes)
         self.cells = lattice_cells(config.robots)
-        #: Upper ends of the box, which is centred on the origin; the SBVs of robots stay inside.
         self.half_extent = tuple(0.5 * (config.spacing * self.radius) * cells for cells in self.cells)
         self._integers = WorldIntegers(
             config.robots, *self.cells, PATTERNS.index(config.pattern), config.seed, *config.stay_steps
         )
-        changes = 1.0 / config.course_steps, 1.0 / config.resume_steps
         self._scales = WorldScales(
-            self.radius, config.spacing, config.speed, config.spin, *changes, config.arrival, config.crowd
+            self.radius,
+            config.spacing,
+            config.speed,
+            config.spin,
+            1.0 / config.course_steps,
+            1.0 / config.resume_steps,
+            config.arrival,
+            config.crowd,
         )
 
     def start(self, id: Tensor | None = None) -> RobotState:

@@ -97,8 +97,15 @@ class StepMaker(ReplayedSteps[Step, CommittedStep, StepGraph]):
         return made
 
     def _make_graph(self, index: int) -> StepGraph:
-        rounds = self._recent.to_capture, self._recent.usual
-        return make_step_graph(self._model, self._state, index, self._broad_phase, self._plan, *rounds)
+        return make_step_graph(
+            self._model,
+            self._state,
+            index,
+            self._broad_phase,
+            self._plan,
+            self._recent.to_capture,
+            self._recent.usual,
+        )
 
     def _note(self, step: Step | CommittedStep) -> None:
         self._recent.note(step.rounds if isinstance(step, CommittedStep) else step.resolution.rounds)

@@ -28,15 +28,25 @@ from pgccd.sim.step import Step
 
 @dataclass
 class Run:
-    """State of a run."""
+    """State of a run.
+
+    Attributes:
+        model: the world.
+        state: the robots after the last step.
+        steps_made: number of steps, those before a resumption included.
+        records: the lines of steps.jsonl, from step 0.
+        last_step: None if the last step was a replay, or no step was made in this process.
+        interrupted: whether a signal ended the run; a checkpoint was written.
+        one_in: `state` has one in this many robots; above 1 for very large worlds on many ranks.
+    """
 
     model: Model
     state: RobotState
     steps_made: int
-    records: list[dict[str, Any]]  #: the lines of steps.jsonl, from step 0
-    last_step: Step | None  #: None if the last step was a replay, or no step was made in this process
-    interrupted: bool  #: by a signal; a checkpoint was written
-    one_in: int = 1  #: `state` has one in this many robots; above 1 for very large worlds on many ranks
+    records: list[dict[str, Any]]
+    last_step: Step | None
+    interrupted: bool
+    one_in: int = 1
 
 
 def run(

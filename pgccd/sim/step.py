@@ -27,22 +27,35 @@ from pgccd.sim.tally import Tally, count_step
 class StepPlan:
     """Capacity estimates of a simulation's steps. They change how often the work of a step is repeated on a GPU, never
     its result.
+
+    Attributes:
+        pairs: of the PCS and its contacts.
+        rounds: of the rounds of resolution.
     """
 
-    pairs: CapacityEstimate = field(default_factory=CapacityEstimate)  #: of the PCS and its contacts
+    pairs: CapacityEstimate = field(default_factory=CapacityEstimate)
     rounds: RoundPlan = field(default_factory=RoundPlan)
 
 
 @dataclass
 class Step:
-    """A step run launch by launch. Expensive results are computed on access."""
+    """A step run launch by launch. Expensive results are computed on access.
 
-    index: int  #: from 0
-    before: RobotState  #: as planned: poses at t0, velocities of the step
+    Attributes:
+        index: of the step, from 0.
+        before: the robots as planned: poses at t0, velocities of the step.
+        resolution: the part of the step that each robot moves.
+        after: the robots after the step.
+        find: computes `contacts`.
+        make_record: computes `record`.
+    """
+
+    index: int
+    before: RobotState
     resolution: Fractions
     after: RobotState
-    find: Callable[[], Contacts]  #: computes `contacts`
-    make_record: Callable[[], dict[str, Any]]  #: computes `record`
+    find: Callable[[], Contacts]
+    make_record: Callable[[], dict[str, Any]]
 
     @cached_property
     def contacts(self) -> Contacts:

@@ -27,8 +27,10 @@ def _frame(impact: Impact) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def _placed(snapshot: Snapshot, impact: Impact, body: int, moment: int) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (V, 3), world frame, and faces (F, 3) of one of the two bodies at t0, toi or t1 (moment 0, 1, 2)."""
     mesh = snapshot.meshes[impact.kinds[body]]
-    pose = impact.position[moment, body, None], impact.orientation[moment, body, None]
-    return placed(mesh.vertices.numpy(), *pose)[0], mesh.faces.numpy()
+    vertices = placed(
+        mesh.vertices.numpy(), impact.position[moment, body, None], impact.orientation[moment, body, None]
+    )
+    return vertices[0], mesh.faces.numpy()
 
 
 def draw_impact(axes: Any, snapshot: Snapshot, impact: Impact) -> None:

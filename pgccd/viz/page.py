@@ -34,8 +34,16 @@ def world_page(path: str | Path, snapshot: Snapshot) -> Path:
         >>> pgccd.viz.world_page("model.html", pgccd.sim.snapshot_of_step(model, step))
     """
     still = np.zeros_like(snapshot.position)
-    no_contacts = np.zeros((0, 2), dtype=np.int64), np.zeros(0), still[:0]
-    at_rest = Motion(snapshot.position, snapshot.orientation, still, still, np.ones(len(still)), *no_contacts)
+    at_rest = Motion(
+        position=snapshot.position,
+        orientation=snapshot.orientation,
+        velocity=still,
+        angular_velocity=still,
+        fraction=np.ones(len(still)),
+        contact_ids=np.zeros((0, 2), dtype=np.int64),
+        contact_toi=np.zeros(0),
+        contact_point=still[:0],
+    )
     motion = snapshot.motion or at_rest
     # Colliding robots first, then the others in random order, so that any prefix is a random sample.
     order = np.random.default_rng(0).permutation(len(snapshot.kind))

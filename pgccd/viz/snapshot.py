@@ -11,48 +11,83 @@ from pgccd.geometry.mesh import Mesh
 
 @dataclass
 class Impact:
-    """One contact of two bodies, i and j, at its toi."""
+    """One contact of two bodies, i and j, at its toi.
+
+    Attributes:
+        ids: of i and j.
+        kinds: their meshes.
+        toi: in [0, 1].
+        feature: description of the touching features.
+        point: (3,) world frame, length units.
+        normal: (3,) unit, world frame, from i towards j.
+        position: (3, 2, 3) at t0, at toi, and at t1 if it had not stopped; world frame, length units.
+        orientation: (3, 2, 4) unit quaternions (w, x, y, z) at these times.
+        times: (n,) in [0, 1].
+        gap: (n,) between the two touching features along the normal, at those times, length units.
+    """
 
     ids: tuple[int, int]
-    kinds: tuple[int, int]  #: their meshes
+    kinds: tuple[int, int]
     toi: float
-    feature: str  #: description of the touching features
-    point: np.ndarray  #: (3,) world
-    normal: np.ndarray  #: (3,) unit, from i towards j
-    position: np.ndarray  #: (3, 2, 3) at t0, at toi, and at t1 if it had not stopped
-    orientation: np.ndarray  #: (3, 2, 4)
-    times: np.ndarray  #: (n,) in [0, 1]
-    gap: np.ndarray  #: (n,) between the two touching features along the normal, at those times
+    feature: str
+    point: np.ndarray
+    normal: np.ndarray
+    position: np.ndarray
+    orientation: np.ndarray
+    times: np.ndarray
+    gap: np.ndarray
 
 
 @dataclass
 class Motion:
-    """The motion of the step that led to a snapshot, for playback."""
+    """The motion of the step that led to a snapshot, for playback. World frame, length units.
 
-    position: np.ndarray  #: (N, 3) at t0
-    orientation: np.ndarray  #: (N, 4) at t0
-    velocity: np.ndarray  #: (N, 3) displacement of the whole step
-    angular_velocity: np.ndarray  #: (N, 3) rotation vector of the whole step
-    fraction: np.ndarray  #: (N,) part of the step that each body moved
-    contact_ids: np.ndarray  #: (K, 2) of all contacts
-    contact_toi: np.ndarray  #: (K,)
-    contact_point: np.ndarray  #: (K, 3)
+    Attributes:
+        position: (N, 3) at t0.
+        orientation: (N, 4) unit quaternions (w, x, y, z) at t0.
+        velocity: (N, 3) displacement of the whole step.
+        angular_velocity: (N, 3) rotation vector of the whole step, radians.
+        fraction: (N,) part of the step that each body moved.
+        contact_ids: (K, 2) of all contacts.
+        contact_toi: (K,) in [0, 1].
+        contact_point: (K, 3).
+    """
+
+    position: np.ndarray
+    orientation: np.ndarray
+    velocity: np.ndarray
+    angular_velocity: np.ndarray
+    fraction: np.ndarray
+    contact_ids: np.ndarray
+    contact_toi: np.ndarray
+    contact_point: np.ndarray
 
 
 @dataclass
 class Snapshot:
-    """A world at one moment, as numpy arrays.
+    """A world at one moment, as numpy arrays. World frame, length units.
+
+    Attributes:
+        meshes: the kinds of bodies.
+        kind: (N,) mesh of each body.
+        position: (N, 3).
+        orientation: (N, 4) unit quaternions (w, x, y, z).
+        colliding: (N,) bool.
+        half_extent: (3,) of the box, centred on the origin.
+        caption: a title, then statistics.
+        motion: of the step before, if known.
+        impact: a contact of that step, if known.
 
     Example:
         >>> pgccd.viz.world_picture("model.png", pgccd.sim.snapshot_of_step(model, step, ["After step 7"]))
     """
 
     meshes: list[Mesh]
-    kind: np.ndarray  #: (N,) mesh of each body
-    position: np.ndarray  #: (N, 3)
-    orientation: np.ndarray  #: (N, 4)
-    colliding: np.ndarray  #: (N,) bool
-    half_extent: np.ndarray  #: (3,) of the box, centred on the origin
-    caption: list[str] = field(default_factory=list)  #: a title, then statistics
+    kind: np.ndarray
+    position: np.ndarray
+    orientation: np.ndarray
+    colliding: np.ndarray
+    half_extent: np.ndarray
+    caption: list[str] = field(default_factory=list)
     motion: Motion | None = None
     impact: Impact | None = None

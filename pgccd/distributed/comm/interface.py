@@ -66,17 +66,22 @@ class Comm(ABC):
 
     Tensors may be on any device, and results are on the same device; if the transport cannot read GPU memory, they are
     staged through the host.
+
+    Attributes:
+        transport: the communication library: "none", "nccl", "gloo", "mpi", ...
+        rank: of this process.
+        size: number of ranks.
+        guard: finds the rank at fault when a message does not arrive.
+        peer_messages: for small messages in a CUDA graph, after `reserve_peer_messages`; None: not possible.
+        neighbours_above: above this number of ranks, messages are sent point-to-point, bodies and their counts to
+            neighbours only.
     """
 
-    #: The communication library: "none", "nccl", "gloo", "mpi", ...
     transport: str
     rank: int
     size: int
-    #: Finds the rank at fault when a message does not arrive.
     guard: Guard
-    #: For small messages in a CUDA graph, after `reserve_peer_messages`; None: not possible.
     peer_messages: PeerMessages | None = None
-    #: Above this number of ranks, messages are sent point-to-point, bodies and their counts to neighbours only.
     neighbours_above = _NEIGHBOURS_ABOVE
 
     @property

@@ -47,6 +47,10 @@ class MpiComm(Comm):
         guard: default: one that is not connected to other ranks.
         on_close: called by `close`.
 
+    Attributes:
+        control: the group for objects and checkpoints, or None.
+        reads_gpu: whether the MPI library reads GPU memory, so that messages need not be staged through the host.
+
     Raises:
         ImportError: mpi4py is not installed, or there is no MPI library.
 

@@ -81,8 +81,7 @@ class PeerMemory:
         found: Tensor | None = None,
         anywhere: Tensor | None = None,
     ) -> None:
-        rows = sent.rows, sent.counts, received.rows, received.counts
-        ops.peer_minimum(values, *rows, found, anywhere, *self._where)
+        ops.peer_minimum(values, sent.rows, sent.counts, received.rows, received.counts, found, anywhere, *self._where)
 
     def stop(self) -> None:
         """From now on kernels give up messages that have not arrived; then the rank sends none either. Also called at

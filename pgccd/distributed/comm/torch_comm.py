@@ -49,6 +49,9 @@ class TorchComm(Comm):
         guard: default: one that is not connected to other ranks.
         on_close: called by `close`.
 
+    Attributes:
+        control: the group for objects and checkpoints.
+
     Example:
         >>> torch.distributed.init_process_group("nccl")
         >>> comm = pgccd.distributed.TorchComm()
@@ -64,7 +67,6 @@ class TorchComm(Comm):
         if not dist.is_initialized():
             raise RuntimeError("group: torch.distributed is not initialised; see pgccd.distributed.connect")
         self._group: Any = dist.group.WORLD if group is None else group
-        #: For checkpoints and objects.
         self.control: Any = self._group if control is None else control
         self.transport = dist.get_backend(self._group)
         self.rank = dist.get_rank(self._group)

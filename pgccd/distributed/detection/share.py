@@ -134,8 +134,9 @@ def search_share(
         ValueError: if it synchronises: a pose is invalid.
 
     Example:
-        >>> asked = decomposition, own, bodies, lambda ghosts: ghosts, Options(), PartEstimates()
-        >>> share, _ = search_share(*asked, beside=lambda share: None)
+        >>> share, _ = search_share(
+        ...     decomposition, own, bodies, lambda ghosts: ghosts, Options(), PartEstimates(), beside=lambda share: None
+        ... )
         >>> share.contacts
     """
     comm, device, kept = decomposition.comm, bodies.device, options.kept
@@ -153,10 +154,16 @@ def search_share(
     if not options.overlap:
         with stage("halo wait"):
             halo.wait()
-    asked = options.query, options.broad_phase
     with stage("broad"):
-        elsewhere = halo.reach if comm.size > 1 else None
-        own_part = find_part(bodies, *asked, None, discard, None, estimates.own, slack, elsewhere, options.at_any_times)
+        own_part = find_part(
+            bodies,
+            options.query,
+            options.broad_phase,
+            discard=discard,
+            estimate=estimates.own,
+            slack=slack,
+            elsewhere=halo.reach if comm.size > 1 else None,
+        )
     own_pairs_found = side.mark()
     own_part.begin()
     with side, stage("halo wait"):
@@ -165,12 +172,14 @@ def search_share(
         alone = halo.sizes(0, [0]) if synchronises else None
         share = Share(held, [own_part], None, options, halo.overflow, alone)
         return share, beside(share)
-    where = *kept, *decomposition.subdomain
+    frame, owner, rank = decomposition.subdomain  # of the neighbours found by the halo
     with side:
         with stage("halo"):
             ghost_vertices = _vertices_of_ghosts(vertices, held, bodies)
             ghosts = _ghosts(held, complete, ghost_vertices, bodies, halo.is_padded)
-            near, near_count = ops.near_ghosts(bodies.swept_spheres, halo.reach, ghosts.swept_spheres, *where)
+            near, near_count = ops.near_ghosts(
+                bodies.swept_spheres, halo.reach, ghosts.swept_spheres, *kept, frame, owner, rank
+            )
             overflow, exact = halo.overflow, None
             if synchronises:
                 numbers = [near_count, held.ghosts_by_source()] if halo.is_padded else [near_count]
@@ -187,12 +196,13 @@ def search_share(
             at_boundary = _at_boundary(bodies, ghosts, rows, both, is_padded=not synchronises)
 
             def owned(pairs: Tensor) -> tuple[Tensor, Tensor]:
-                of_cells = *kept, halo.reach, *decomposition.subdomain
-                return ops.owned_pairs(pairs, rows, held.id, at_boundary.swept_spheres, *of_cells)
+                spheres = at_boundary.swept_spheres
+                return ops.owned_pairs(pairs, rows, held.id, spheres, *kept, halo.reach, frame, owner, rank)
 
             with_ghosts = find_part(
                 at_boundary,
-                *asked,
+                options.query,
+                options.broad_phase,
                 select=owned,
                 discard=discard,
                 rows=rows,

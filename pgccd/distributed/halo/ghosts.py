@@ -73,8 +73,8 @@ class Halo:
         """Finds the bodies that other ranks need. Does not synchronise."""
         if not self._is_alone:
             centres, kept = self._where
-            where = *kept, *self._decomposition.subdomain
-            self.reach, self._boundary, self._count = ops.boundary_bodies(centres, *where)
+            frame, owner, rank = self._decomposition.subdomain
+            self.reach, self._boundary, self._count = ops.boundary_bodies(centres, *kept, frame, owner, rank)
         if self._synchronises:
             self._found = HostCopy.start(torch.cat([self._count, self._bodies._first_faults()]))
 

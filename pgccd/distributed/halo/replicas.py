@@ -55,8 +55,9 @@ def find_replicas(
         rows: (B,) rows of `centres`; may contain -1 (reaching no rank).
         received: number of these bodies received from each neighbour, if they are ghosts.
     """
-    where = centres, *kept, *decomposition.subdomain, rows
-    return Replicas(*ops.replica_ranks(*where, received, decomposition.neighbours.size))
+    frame, owner, rank = decomposition.subdomain
+    ranks = decomposition.neighbours.size
+    return Replicas(*ops.replica_ranks(centres, *kept, frame, owner, rank, rows, received, ranks))
 
 
 def agreed_replicas(

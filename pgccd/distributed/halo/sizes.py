@@ -43,8 +43,8 @@ class HaloSizes:
         """Capacities for the next step, which has these neighbours, given the numbers of the last one."""
         now = self.renumbered(neighbours)
         sent, received, common = (padded_counts(each, neighbours) for each in (now.sent, now.received, now.common))
-        bodies = padded_count(self.boundary), padded_count(_NEAR_SLACK * self.near)
-        return HaloSizes(neighbours, sent, received, *bodies, common)
+        boundary, near = padded_count(self.boundary), padded_count(_NEAR_SLACK * self.near)
+        return HaloSizes(neighbours, sent, received, boundary, near, common)
 
 
 def padded_count(count: int) -> int:

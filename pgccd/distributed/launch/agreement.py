@@ -32,7 +32,11 @@ PROBLEM = "problem"
 
 
 class DisagreementError(ValueError):
-    """Ranks were started with different settings; the message names the setting and two ranks."""
+    """Ranks were started with different settings; the message names the setting and two ranks.
+
+    Attributes:
+        of_all_ranks: True: it is raised on all ranks.
+    """
 
     of_all_ranks = True
 

@@ -30,13 +30,21 @@ _SRUN_MACHINES = "SLURM_STEP_NUM_NODES"
 
 @dataclass(frozen=True)
 class Placement:
-    """Position of this process among those launched together."""
+    """Position of this process among those launched together.
 
-    launcher: str  #: a key of the variables above, or "none"
+    Attributes:
+        launcher: "torchrun", "Open MPI", "MPICH", "MVAPICH", "srun" or "none".
+        rank: of this process, from 0.
+        size: number of processes.
+        local_rank: rank within its machine.
+        is_one_machine: whether all ranks are known to be on one machine.
+    """
+
+    launcher: str
     rank: int
     size: int
-    local_rank: int  #: rank within its machine
-    is_one_machine: bool = False  #: whether all ranks are known to be on one machine
+    local_rank: int
+    is_one_machine: bool = False
 
 
 def find_placement(environment: Mapping[str, str] = os.environ) -> Placement:

@@ -30,25 +30,28 @@ _MOST_MOVES = 4096
 class BalanceOptions:
     """Options of load balancing.
 
+    Attributes:
+        policy: "cost": several cells per step, by the predicted cost of each. "measured": the same, weighted by the
+            measured speed of each rank, so that the assignment (never the result) differs from run to run. "one-cell":
+            the policy of Du, Liu & Suzumura 2017, 4.2. "none": cells keep their owners.
+        threshold: one-cell: minimum difference between the most and the least loaded rank, relative to the most loaded.
+        start, goal: cost: balancing starts once the largest load exceeds the mean by the fraction `start`, and ends at
+            `goal`.
+        moving, horizon: cost: moving a body costs `moving` body-steps; the gain is counted over `horizon` steps.
+        most_moves: cost: maximum number of cells moved in one step, per rank.
+        every: steps between decisions.
+
     Raises:
         ValueError: naming the field.
     """
 
-    #: "cost": several cells per step, by the predicted cost of each. "measured": the same, weighted by the measured
-    #: speed of each rank, so that the assignment (never the result) differs from run to run. "one-cell": the policy of
-    #: Du, Liu & Suzumura 2017, 4.2. "none": cells keep their owners.
     policy: Policy = "cost"
-    #: one-cell: minimum difference between the most and the least loaded rank, relative to the most loaded.
     threshold: float = 0.1
-    #: cost: balancing starts once the largest load exceeds the mean by the fraction `start`, and ends at `goal`.
     start: float = 0.04
     goal: float = 0.02
-    #: cost: moving a body costs `moving` body-steps; the gain is counted over `horizon` steps.
     moving: float = 4.0
     horizon: int = 32
-    #: cost: maximum number of cells moved in one step, per rank.
     most_moves: int = 16
-    #: Steps between decisions.
     every: int = 1
 
     def __post_init__(self) -> None:

@@ -32,11 +32,14 @@ class Bisection(Partition):
     """Space divided by planes into one box per rank. Made by `Bisection.uniform`.
 
     All functions of points and boxes are monotone along every axis: points are compared with planes exactly.
+
+    Attributes:
+        planes: (P - 1, 4) float64: axis, coordinate, and the children below and above: a later row, or rank r as
+            -1 - r.
     """
 
-    lower: Point  #: of the world's box, length units
+    lower: Point
     upper: Point
-    #: (P - 1, 4) float64: axis, coordinate, and the children below and above: a later row, or rank r as -1 - r.
     planes: Tensor
 
     @classmethod

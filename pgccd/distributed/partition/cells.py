@@ -75,13 +75,18 @@ class Cells(Partition):
 
     Made by `Cells.uniform`. All functions of points and boxes are monotone along every axis, rounding included: the
     cell of a point in a box lies between the cells of its corners.
+
+    Attributes:
+        subdomains: number along x, y and z; the product is the number of ranks.
+        cells: number in each subdomain, along x, y and z.
+        owner: (cell_count,) int64: the rank of each cell; x varies slowest, z fastest.
     """
 
-    lower: Point  #: of the world's box, length units
+    lower: Point
     upper: Point
-    subdomains: Triple  #: number along x, y and z; the product is the number of ranks
-    cells: Triple  #: number in each subdomain
-    owner: Tensor  #: (cell_count,) int64: the rank of each cell; x varies slowest, z fastest
+    subdomains: Triple
+    cells: Triple
+    owner: Tensor
 
     @classmethod
     def uniform(
@@ -132,10 +137,12 @@ class Cells(Partition):
 
     @property
     def cell_count(self) -> int:
+        """Number of cells."""
         return math.prod(self.grid)
 
     @property
     def cell_size(self) -> Point:
+        """Size of a cell along x, y and z, length units."""
         return cast(Point, tuple((b - a) / n for a, b, n in zip(self.lower, self.upper, self.grid, strict=True)))
 
     def with_owner(self, owner: Tensor) -> Cells:

@@ -37,14 +37,19 @@ def box_given(lower: Point, upper: Point) -> tuple[Point, Point]:
 
 
 class Partition(ABC):
-    """Assigns every point of space to a rank; the same on all ranks."""
+    """Assigns every point of space to a rank; the same on all ranks.
 
-    lower: Point  #: of the world's box, length units
+    Attributes:
+        lower, upper: corners of the world's box, length units.
+    """
+
+    lower: Point
     upper: Point
 
     @property
     @abstractmethod
-    def ranks(self) -> int: ...
+    def ranks(self) -> int:
+        """Number of ranks."""
 
     @abstractmethod
     def owner_of(self, points: Tensor) -> Tensor:

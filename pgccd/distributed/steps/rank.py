@@ -65,8 +65,18 @@ class Rank:
         is_known = self._sizes_of is self.decomposition and vertices is None
         is_ahead = is_known and sends_ahead(self.comm, bodies.device, options.overlap)
         sizes = self.capacities() if is_ahead else None
-        asked = self.decomposition, own, bodies, complete, options, self.estimates
-        share, made = search_share(*asked, beside=beside, sizes=sizes, vertices=vertices, clock=clock)
+        share, made = search_share(
+            self.decomposition,
+            own,
+            bodies,
+            complete,
+            options,
+            self.estimates,
+            beside=beside,
+            sizes=sizes,
+            vertices=vertices,
+            clock=clock,
+        )
         self._sizes, self._sizes_of = share.sizes, self.decomposition
         return share, made
 

@@ -37,13 +37,20 @@ from pgccd.runtime.transaction import TransactionGraph
 class Bodies:
     """The own bodies of one rank, as passed to user functions. In a graph, rows with negative ids are padding; their
     values have no effect.
+
+    Attributes:
+        id: (N,) int64.
+        position: (N, 3) float64, length units, world frame: positions of the origins.
+        mesh_index: (N,) int32.
+        payload: by name, (N, ...).
+        step: (1,) int64: number of steps made.
     """
 
-    id: Tensor  #: (N,) int64
-    position: Tensor  #: (N, 3) float64, length units, world frame: positions of the origins
-    mesh_index: Tensor  #: (N,) int32
-    payload: Columns  #: by name: (N, ...)
-    step: Tensor  #: (1,) int64: number of steps made
+    id: Tensor
+    position: Tensor
+    mesh_index: Tensor
+    payload: Columns
+    step: Tensor
 
 
 #: The motion of the next step.
@@ -56,11 +63,17 @@ Response = Callable[[Bodies, RigidMotion, Tensor], Columns]
 
 @dataclass(frozen=True)
 class WorldStep:
-    """Counts of one step, summed over ranks."""
+    """Counts of one step, summed over ranks.
 
-    pcs: int  #: potentially colliding pairs
-    contacts: int  #: pairs that collide
-    replayed: bool  #: whether the step was a replay of a graph
+    Attributes:
+        pcs: potentially colliding pairs.
+        contacts: pairs that collide.
+        replayed: whether the step was a replay of a graph.
+    """
+
+    pcs: int
+    contacts: int
+    replayed: bool
 
 
 @dataclass(frozen=True)
@@ -219,10 +232,12 @@ class _WorldGraph(TransactionGraph[_Committed]):
         scene = scene_of(world._meshes, columns)
         scene._leave_out(id < 0)
         moving = MovingBodies.of(scene, motion, wait=False)
-        asked = self._decomposition, columns_to_send(id, moving), moving, lambda ghosts: ghosts
         # The rows of contacts with ghosts are found concurrently with the search of own pairs.
         share, _ = search_share(
-            *asked,
+            self._decomposition,
+            columns_to_send(id, moving),
+            moving,
+            lambda ghosts: ghosts,
             world.options,
             world._rank.estimates,
             beside=lambda share: share.parts[-1].first_contacts(),

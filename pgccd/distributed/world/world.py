@@ -52,6 +52,15 @@ class World(Generic[R]):
     Bodies migrate to the rank that owns the cell of their position, at the beginning and after each `move`. Rows of
     `id`, `position`, `mesh_index` and `payload` are those of this rank's own bodies, by ascending id.
 
+    Attributes:
+        comm: between the ranks.
+        options: of the detection.
+        path: of the motions of rigid bodies: "arc" or "linear".
+        census: number and sum of the ids of all bodies, which migration preserves.
+        columns: of this rank's own bodies, by name; names of the payload begin with ".".
+        steps_made: number of steps made.
+        found: pairs and contacts of the last step; None before the first.
+
     Example:
         >>> world = pgccd.distributed.World.create([rock], (0, 0, 0), (9, 9, 9), x, payload={"velocity": v}, comm=comm)
         >>> hits = world.step(pgccd.RigidMotion.from_velocity(world.position, q, world.payload["velocity"], w, dt=0.1))
@@ -70,7 +79,7 @@ class World(Generic[R]):
         self._rank = Rank(Decomposition(comm, state.partition), balance)
         self._meshes, self._cut = state.meshes, state.cut
         self.census = census
-        self.found: Share | None = None  #: pairs and contacts of the last step
+        self.found: Share | None = None
         self.steps_made, self._seconds = state.steps_made, 0.0
         self.columns, self._vertices = state.columns, state.vertices
         self._scene: Scene | None = None
@@ -288,8 +297,8 @@ class World(Generic[R]):
         Example:
             >>> world.save("out/world")
         """
-        space = self._meshes, self._cut, self.partition
-        return save_state(self.comm, folder, WorldState(*space, self.columns, self._vertices, self.steps_made))
+        state = WorldState(self._meshes, self._cut, self.partition, self.columns, self._vertices, self.steps_made)
+        return save_state(self.comm, folder, state)
 
     @property
     def partition(self) -> Partition:
@@ -389,9 +398,15 @@ class World(Generic[R]):
         clock = StageClock()
         with clock.stage("plan"):
             bodies = MovingBodies.of(scene, motion, wait=False)
-        own = columns_to_send(id, bodies)
-        asked = own, bodies, lambda ghosts: ghosts, options, clock
-        share, _ = self._rank.search(*asked, beside=lambda _: None, vertices=vertices)
+        share, _ = self._rank.search(
+            columns_to_send(id, bodies),
+            bodies,
+            lambda ghosts: ghosts,
+            options,
+            clock,
+            beside=lambda _: None,
+            vertices=vertices,
+        )
         clock.add(search_seconds(share.contacts.stats))
         self.found, self._seconds, self.steps_made = share, clock.work, self.steps_made + 1
         return share

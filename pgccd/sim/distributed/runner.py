@@ -36,15 +36,22 @@ _MOST_GATHERED = 1_000_000
 
 @dataclass(frozen=True)
 class DistributedOptions:
-    """Options of the distribution over ranks. No result depends on them."""
+    """Options of the distribution over ranks. No result depends on them.
 
-    #: "cells" or "bisection". "auto": that of the checkpoint, or bisection; but cells if `axes` or `cells` is not the
-    #: default or the policy moves single cells.
+    Attributes:
+        partition: "cells" or "bisection". "auto": that of the checkpoint, or bisection; but cells if `axes` or `cells`
+            is not the default or the policy moves single cells.
+        axes: number of axes that are cut: 1 (slabs), 2 or 3.
+        cells: number in each subdomain: m means m x m in X-Y.
+        balance: options of load balancing.
+        overlap: whether pairs of own bodies are tested while ghosts are sent.
+    """
+
     partition: str = "auto"
-    axes: int = DEFAULT_AXES  #: number of axes that are cut: 1 (slabs), 2 or 3
-    cells: int | Triple = DEFAULT_CELLS  #: number in each subdomain: m means m x m in X-Y
+    axes: int = DEFAULT_AXES
+    cells: int | Triple = DEFAULT_CELLS
     balance: BalanceOptions = field(default_factory=BalanceOptions)
-    overlap: bool = True  #: test pairs of own bodies while ghosts are sent
+    overlap: bool = True
 
 
 def run(

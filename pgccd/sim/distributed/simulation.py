@@ -76,14 +76,23 @@ class CommittedRankStep:
 
 @dataclass
 class RankStep:
-    """One rank's part of a step run launch by launch."""
+    """One rank's part of a step run launch by launch.
 
-    index: int  #: from 0
-    before: RobotState  #: own robots, as planned
-    resolution: Fractions  #: of the held robots
-    stop_requested: bool  #: on any rank
-    share: Share  #: pairs and contacts of the whole step
-    make_record: Callable[[], dict[str, Any]]  #: computes `record`
+    Attributes:
+        index: of the step, from 0.
+        before: own robots, as planned.
+        resolution: the part of the step that each held robot moves.
+        stop_requested: whether the run was asked to stop, on any rank.
+        share: pairs and contacts of the whole step.
+        make_record: computes `record`.
+    """
+
+    index: int
+    before: RobotState
+    resolution: Fractions
+    stop_requested: bool
+    share: Share
+    make_record: Callable[[], dict[str, Any]]
 
     @cached_property
     def record(self) -> dict[str, Any]:
@@ -97,6 +106,11 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
     With NCCL, consecutive steps are replays of one CUDA graph per rank, messages included: see `pgccd.sim.replay`.
     Cells and robots change owners only in steps run launch by launch, so robots that leave their rank's cells migrate
     later.
+
+    Attributes:
+        comm: between the ranks.
+        model: the rules.
+        options: of the detection.
 
     Example:
         >>> simulation = DistributedSimulation.create(comm, model, partition, starting_share(comm, model))
@@ -159,8 +173,9 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
         graph = can_replay(comm, model.device) if graph is None else graph
         state = RobotState(**take_rows(state.columns, torch.argsort(state.id)))
         expected = Census.of_range(comm, model.config.robots)
-        how = balance or BalanceOptions(), options, graph
-        simulation = cls(Decomposition(comm, partition), model, state, expected, *how)
+        simulation = cls(
+            Decomposition(comm, partition), model, state, expected, balance or BalanceOptions(), options, graph
+        )
         simulation._migrate(state)
         simulation.verify()
         return simulation
@@ -231,8 +246,7 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
                 counted = count_step(after, fraction, share.held.id, *share.first_contacts())
                 return torch.cat([counted, self._host_numbers(share)])
 
-        held = share.parts, len(share.held), partners
-        resolved = resolve_collisions(*held, self._plan, conclude, clock, exchange)
+        resolved = resolve_collisions(share.parts, len(share.held), partners, self._plan, conclude, clock, exchange)
         reports = Reports.of(resolved.work, resolved.conclusions)
         resolved.learn()  # so that reading the contacts does not synchronise
         moved_cells = 0
@@ -296,8 +310,17 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
             self._notes[:1].zero_()
             return concluded
 
-        rounds = self._recent.to_capture, self._recent.usual
-        return StepGraph(self.model, self._state, index, search, self._plan, *rounds, conclude, rows)
+        return StepGraph(
+            self.model,
+            self._state,
+            index,
+            search,
+            self._plan,
+            self._recent.to_capture,
+            self._recent.usual,
+            conclude,
+            rows,
+        )
 
     def _search_padded(
         self, planned: RobotState, discard: Tensor, decomposition: Decomposition, sizes: HaloSizes
