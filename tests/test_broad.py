@@ -30,13 +30,14 @@ def found_by(way: Any, start: Any, end: Any, radius: Any, separation: float = 0.
     """Runs the operator on arrays (on the device of `filters["device"]`)."""
     operator, settings = way
     device, tolerance = filters.pop("device", "cpu"), filters.pop("tolerance", 0.0)
+    at_any_times = filters.pop("at_any_times", False)
     columns = tensors(*(np.asarray(a, dtype=np.float64) for a in (start, end, radius)), device=device)
     types = {"group": torch.int64, "mask": torch.int64, "world": torch.int32, "static": torch.uint8}
     bits = [
         torch.as_tensor(filters[k], dtype=t, device=device) if filters.get(k) is not None else None
         for k, t in types.items()
     ]
-    return operator(*columns, *bits, None, separation, tolerance, *settings).cpu()
+    return operator(*columns, *bits, None, separation, tolerance, *settings, at_any_times).cpu()
 
 
 def check(start: Any, end: Any, radius: Any, separation: float = 0.0, **filters: Any) -> np.ndarray:
@@ -217,6 +218,39 @@ def test_pairs_found_elsewhere(device: torch.device, has_static: bool) -> None:
         given = bodies, 0.0, broad_phase, capacity, torch.zeros(1, dtype=torch.int64, device=device)
         padded, _ = pgccd.broad.find_pairs_padded(*given, elsewhere=marks)
         assert torch.equal(padded[: len(kept)].cpu(), kept) and bool((padded[len(kept) :] == -1).all()), broad_phase
+
+
+@pytest.mark.parametrize("scale", [1e-25, 1.0, 1e25])
+@pytest.mark.parametrize("step", [0.0, 0.3, 6.0])
+def test_pairs_at_any_times(device: torch.device, step: float, scale: float) -> None:
+    """Spheres that touch at two times are a pair; so is the PCS, which is found among these pairs."""
+    rng = np.random.default_rng(7)
+    start, end, radius = (scale * x for x in scattered(rng, 250, 8.0, step))
+    swept = agreed(start, end, radius, device=device, at_any_times=True)
+    pcs = agreed(start, end, radius, device=device)
+    found = {tuple(pair) for pair in swept.tolist()}
+    for times in rng.uniform(-0.2, 1.2, (20, 250, 1)).clip(0.0, 1.0):
+        at = start + times * (end - start)
+        distance = np.linalg.norm(at[:, None] - at, axis=2)
+        touching = np.argwhere(np.triu(distance < radius[:, None] + radius, 1))
+        assert {tuple(pair) for pair in touching.tolist()} <= found
+    assert {tuple(pair) for pair in pcs.tolist()} <= found
+    assert (len(pcs) == len(found)) == (step == 0.0) and len(pcs) > 100
+    centres = tensors(start, end, radius, device=device)
+    among = torch.cat([swept, torch.full((3, 2), -1)])[torch.randperm(len(swept) + 3)]
+    for flipped in (among, among.flip(1)):  # the smaller row need not be first
+        meeting, count = ops.meeting_pairs(flipped.to(device), centres, 0.0, 0.0)
+        expected = flipped[[tuple(sorted(pair)) in {tuple(p) for p in pcs.tolist()} for pair in flipped.tolist()]]
+        assert int(count) == len(pcs) and torch.equal(meeting[: int(count)].cpu(), expected)
+        assert bool((meeting[int(count) :] == -1).all()) and len(meeting) == len(among)
+
+
+def test_pairs_at_any_times_are_not_all_that_overlap() -> None:
+    start = np.array([[0.0, 0, 0], [2.5, 0, 0], [2.5, 3.0, 0], [9.5, 0, 0]])
+    end = start + np.array([[6.0, 0, 0], [6.0, 0, 0], [6.0, 0, 0], [6.0, 0, 0]])
+    # One behind the other is found, in whatever order; side by side, or out of reach of the whole path, is not.
+    assert agreed(start, end, np.ones(4), at_any_times=True).tolist() == [[0, 1], [1, 3]]
+    assert agreed(start, end, np.ones(4), at_any_times=True, group=[1, 1, 1, 2], mask=[1, 1, 1, 2]).tolist() == [[0, 1]]
 
 
 def test_group_alone_means_all_mask_bits() -> None:

@@ -119,6 +119,40 @@ def test_touching_spheres_of_tiny_size(exponent: int, along_axes: bool) -> None:
     assert {(2 * k, 2 * k + 1) for k in range(60)} <= {tuple(p) for p in found.tolist()}
 
 
+@pytest.mark.parametrize("along_axes", [False, True])
+@pytest.mark.parametrize("travel", [0.0, 1.0, 1e3, 1e6])
+def test_spheres_that_just_touch_at_two_times(device: torch.device, travel: float, along_axes: bool) -> None:
+    """The first one ends where it just touches the other's start, and the other goes on: they are never so near at
+    equal times.
+    """
+    rng = np.random.default_rng([4, int(travel)])
+    n = 100
+    way = np.eye(3)[rng.integers(0, 3, n)] if along_axes else directions(rng, n)
+    met = rng.normal(size=(n, 3))
+    met = np.stack([met, met + rng.uniform(0.5, 2.0, (n, 1)) * way], axis=1)
+    start, end = met.copy(), met.copy()
+    start[:, 0] -= travel * rng.uniform(0.5, 1.0, (n, 1)) * way
+    end[:, 1] += travel * rng.uniform(0.5, 1.0, (n, 1)) * way
+    radius = np.array([[0.25, least_radius(met[k], met[k], 0.25)] for k in range(n)])
+    given = start.reshape(-1, 3), end.reshape(-1, 3), radius.ravel()
+    worlds = np.repeat(np.arange(n), 2)
+    found = agreed(*given, device=device, world=worlds, at_any_times=True)
+    assert found.tolist() == [[2 * k, 2 * k + 1] for k in range(n)]
+    # With a separation, and for points.
+    apart = given[0], given[1], 0.0 * given[2]
+    gaps = float(radius.sum(axis=1).max())
+    assert len(agreed(*apart, gaps, device=device, world=worlds, at_any_times=True)) == n
+    assert travel == 0.0 or len(agreed(*given, device=device, world=worlds)) == 0
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_points_that_vanish_at_any_times(axis: int) -> None:
+    start = np.zeros((2, 3))
+    start[1, axis] = 0.9 * 2.0**-500
+    assert agreed(start, start, np.zeros(2)).tolist() == [[0, 1]]
+    assert agreed(start, start, np.zeros(2), at_any_times=True).tolist() == [[0, 1]]
+
+
 def test_least_radius_is_least() -> None:
     start, end = np.zeros((2, 3)), np.zeros((2, 3))
     start[1], end[1] = [-3.0, 3.0, 4.0], [5.0, 3.0, 4.0]

@@ -85,18 +85,15 @@ PGCCD_HD double kept_distance(const BroadBodies& bodies, int64_t i, int64_t j) {
   return bodies.separation + pair_tolerance(bodies.centres, i, j, bodies.tolerance);
 }
 
-// Offsets, travel and the point on it each have a few roundings of the larger offset.
-PGCCD_HD double rounding_of(const RelativeCentre& offset) {
-  return 0x1p-48 * (max_abs(offset.at_t0) + max_abs(offset.at_t1)) + kVanishing;
-}
-
 PGCCD_HD bool meet_at_equal_times(const BroadBodies& bodies, int64_t i, int64_t j) {
   const RelativeCentre offset = relative_centre(bodies.centres, i, j);
   const Vec3<double> travel = offset.at_t1 - offset.at_t0;
   const double length_squared = norm_squared(travel);
-  double nearest = 0.0;  // its error has a second-order effect only
+  double nearest = 0.0;
   if (length_squared > 0.0) nearest = unit_clamp(-dot(offset.at_t0, travel) / length_squared);
-  const double rounding = rounding_of(offset);
+  // Offsets, travel and the point at `nearest` each have a few roundings of the larger offset; an error of `nearest`
+  // has a second-order effect only.
+  const double rounding = 0x1p-48 * (max_abs(offset.at_t0) + max_abs(offset.at_t1)) + kVanishing;
   const double kept = kept_distance(bodies, i, j);
   // 2^-42: the narrow phase computes points of the bodies to within kRigidPointUnits.
   const double reach = (bodies.centres.radius[i] + bodies.centres.radius[j] + kept) * (1.0 + 0x1p-42) + rounding;
@@ -107,16 +104,18 @@ PGCCD_HD double half_travel(const BodyCentres& centres, int64_t body) {
   return 0.5 * norm(load_vec3(centres.position_t1 + 3 * body) - load_vec3(centres.position_t0 + 3 * body));
 }
 
-// By the spheres around whole paths, and by the boxes around them: those of a pair that meets overlap, and the ranks
-// rely on it. The sphere with the path as its diameter contains the box between the ends of the path. So it contains
-// every part of the path as computed, since rounding is monotone. With twice the margins of equal times, every pair
-// that meets at equal times is among these.
+// By the spheres around whole paths, and the boxes around these paths. Boxes of a pair that meets overlap, so no broad
+// phase skips it, and the rank with the lower corner of their intersection holds both bodies and finds it.
+// A slowed body is on its path only up to the rounding of its positions; but rounding is monotone, so it stays in the
+// box between the ends of the whole path, and the sphere with the path as its diameter contains that box. Offsets near
+// `reach` are at most twice as long, so 2^-41 includes their rounding; being twice the 2^-42 of equal times, it lets in
+// every pair that meets at those.
 PGCCD_HD bool meet_at_any_times(const BroadBodies& bodies, int64_t i, int64_t j) {
   if (!overlap(swept_box(bodies, i), swept_box(bodies, j))) return false;
   const RelativeCentre offset = relative_centre(bodies.centres, i, j);
   const double half_paths = half_travel(bodies.centres, i) + half_travel(bodies.centres, j);
   const double radii = bodies.centres.radius[i] + bodies.centres.radius[j];
-  const double reach = (radii + kept_distance(bodies, i, j) + half_paths) * (1.0 + 0x1p-41) + 2.0 * rounding_of(offset);
+  const double reach = (radii + kept_distance(bodies, i, j) + half_paths) * (1.0 + 0x1p-41) + 2.0 * kVanishing;
   return !(norm_squared(0.5 * (offset.at_t0 + offset.at_t1)) > reach * reach);
 }
 
