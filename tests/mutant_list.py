@@ -33,20 +33,20 @@ BROAD = "csrc/kernels/broad/"
 BOUNDS = "csrc/kernels/bounds/"
 VOXEL = "csrc/kernels/voxel/"
 
-ON_TRAVERSE = ("test_margins_traverse.py",)
-ON_NARROW = ("test_margins_narrow.py", "test_margins_candidates.py")
-ON_BROAD = ("test_margins_broad.py",)
-ON_VOXELS = ("test_voxels.py",)
-ON_BOUNDS = ("test_margins_bounds.py",)
-ON_CORE = ("test_margins_core.py",)
-ON_TIES = ("test_ties.py",)
-ON_DEGENERATE = ("test_narrow_degenerate.py",)
-ON_SPIN = ("test_spinning.py",)
-ON_PASSING = ("test_narrow_at_scale.py",)
-ON_ORIGIN = ("test_origin_bounds.py",)
-ON_MARGIN = ("test_margin.py",)
-ON_CROSSING = ("test_intersecting.py",)
-ON_SIZES = ("test_unequal_sizes.py",)
+ON_TRAVERSE = ("kernels/test_margins_traverse.py",)
+ON_NARROW = ("kernels/test_margins_narrow.py", "kernels/test_margins_candidates.py")
+ON_BROAD = ("kernels/test_margins_broad.py",)
+ON_VOXELS = ("kernels/test_voxels.py",)
+ON_BOUNDS = ("kernels/test_margins_bounds.py",)
+ON_CORE = ("kernels/test_margins_core.py",)
+ON_TIES = ("detection/test_ties.py",)
+ON_DEGENERATE = ("detection/test_narrow_degenerate.py",)
+ON_SPIN = ("motion/test_spinning.py",)
+ON_PASSING = ("detection/test_narrow_at_scale.py",)
+ON_ORIGIN = ("kernels/test_origin_bounds.py",)
+ON_MARGIN = ("detection/test_margin.py",)
+ON_CROSSING = ("detection/test_intersecting.py",)
+ON_SIZES = ("detection/test_unequal_sizes.py",)
 
 _LOCAL_ROUNDING = "kLocalRounding, 64 units of the whole local frame, includes it"
 _SPARE = "covered by the 32 units of the extent, of which the projected gap needs at most 12"
@@ -131,14 +131,14 @@ _RIGID = [
         TRAVERSE + "rigid_sweep.h",
         "bodies.linear_path ? 1.5 * horizon * whole_change : 0.5 * change",
         "bodies.linear_path ? 0.5 * horizon * whole_change : 0.5 * change",
-        ("test_traverse_slabs.py",),
+        ("detection/test_traverse_slabs.py",),
     ),
     Mutant(
         "straight-slab-growth-0.999",
         TRAVERSE + "rigid_sweep.h",
         "bodies.linear_path ? 1.5 * horizon * whole_change : 0.5 * change",
         "bodies.linear_path ? 1.4985 * horizon * whole_change : 0.5 * change",
-        ("test_traverse_slabs.py",),
+        ("detection/test_traverse_slabs.py",),
         equivalent="the growth bounds the change of the whole normal, of which only the part across it, at most half as"
         " long where a half turn makes the bound 2, lifts points of a thin slab",
     ),
@@ -147,7 +147,7 @@ _RIGID = [
         TRAVERSE + "rigid_sweep.h",
         "smaller(angle, 2.0)",
         "smaller(angle, 0.6)",
-        ("test_traverse_slabs.py",),
+        ("detection/test_traverse_slabs.py",),
     ),
     Mutant(
         "arc-slab-growth-of-a-half-turn",
@@ -161,7 +161,7 @@ _RIGID = [
         TRAVERSE + "rigid_sweep.h",
         "smaller(horizon * angle / segment_count, 2.0)",
         "horizon * smaller(angle / segment_count, 2.0)",
-        ("test_traverse_slabs.py",),
+        ("detection/test_traverse_slabs.py",),
     ),
     Mutant(
         "rigid-local-rounding-zero",
@@ -175,7 +175,7 @@ _RIGID = [
         TRAVERSE + "rigid_sweep.h",
         "sweep_detail::blend(at_t0, spun(spin, at_t0, 1.0), t)",
         "spun(spin, at_t0, t)",
-        ("test_traverse_slabs.py", "test_traverse.py::test_linear_paths"),
+        ("detection/test_traverse_slabs.py", "detection/test_traverse.py::test_linear_paths"),
     ),
 ]
 
@@ -397,7 +397,7 @@ _DIRECTIONS = [
         CORE + "fixed_directions.h",
         "(sum == sum)",
         "((sum == sum) | (extent > 0.0f * extent))",
-        ("test_narrow_elementary.py::test_no_number_is_never_free", *ON_NARROW),
+        ("detection/test_narrow_elementary.py::test_no_number_is_never_free", *ON_NARROW),
     ),
     Mutant(
         "cull-direction-of-no-length",
@@ -459,42 +459,42 @@ _SEPARATIONS = [
         "csrc/kernels/pipeline/pipeline_cpu.cpp",
         "leaves.begin > horizon[leaves.pair]",
         "leaves.begin > 0.999 * horizon[leaves.pair]",
-        ("test_search_in_parts.py",),
+        ("detection/test_search_in_parts.py",),
     ),
     Mutant(
         "earliest-limit-0.999",
         "csrc/kernels/pipeline/pipeline_cpu.cpp",
         "std::vector<double>(size, earliest)",
         "std::vector<double>(size, 0.999 * earliest)",
-        ("test_search_in_parts.py",),
+        ("detection/test_search_in_parts.py",),
     ),
     Mutant(
         "leaves-part-not-rounded-down",
         TRAVERSE + "leaf_separation.h",
         "rounded_down((from - threshold) / (from - to))",
         "(from - threshold) / (from - to)",
-        ("test_search_in_parts.py",),
+        ("detection/test_search_in_parts.py",),
     ),
     Mutant(
         "leaves-part-of-the-whole-gap",
         TRAVERSE + "leaf_separation.h",
         "rounded_down((from - threshold) / (from - to))",
         "rounded_down(from / (from - to))",
-        ("test_search_in_parts.py",),
+        ("detection/test_search_in_parts.py",),
     ),
     Mutant(
         "leaves-time-not-rounded-down",
         TRAVERSE + "leaf_separation.h",
         "rounded_down((static_cast<float>(k - 1) + part) / static_cast<float>(segments))",
         "(static_cast<float>(k - 1) + part) / static_cast<float>(segments)",
-        ("test_search_in_parts.py",),
+        ("detection/test_search_in_parts.py",),
     ),
     Mutant(
         "leaves-time-of-the-next-segment",
         TRAVERSE + "leaf_separation.h",
         "rounded_down((static_cast<float>(k - 1) + part) / static_cast<float>(segments))",
         "rounded_down((static_cast<float>(k) + part) / static_cast<float>(segments))",
-        ("test_search_in_parts.py",),
+        ("detection/test_search_in_parts.py",),
     ),
     Mutant(
         "features-stepwise-without-distance",
@@ -594,7 +594,7 @@ _CERTIFICATES = [
         NARROW + "certificates.h",
         "T(1.7320509)",
         "T(1)",
-        ("test_certificates.py",),
+        ("kernels/test_certificates.py",),
     ),
     Mutant(
         "difference-error-1.01",
@@ -635,7 +635,7 @@ _CERTIFICATES = [
         NARROW + "advancement.h",
         "Progress<T>{t, goal, advances}",
         "Progress<T>{t, goal, kQuickAdvances}",
-        ("test_search_phases.py",),
+        ("kernels/test_search_phases.py",),
     ),
     Mutant(
         "advance-deviation-0.999",
@@ -732,7 +732,7 @@ _CERTIFICATES = [
         NARROW + "advancement.h",
         "T(4) * error.point + T(64) * T(Precision<T>::unit) * error.extent",
         "T(0)",
-        ("test_narrow_elementary.py::test_tight_tolerance_is_resolved", *ON_NARROW),
+        ("detection/test_narrow_elementary.py::test_tight_tolerance_is_resolved", *ON_NARROW),
     ),
     Mutant(
         "determinant-1-unit",
@@ -943,7 +943,7 @@ _CERTIFICATES = [
         NARROW + "advancement.h",
         "smaller(goal, T(0.5) * (distance - separation))",
         "smaller(goal, T(2) * (distance - separation))",
-        ("test_narrow_elementary.py::test_nonzero_toi",),
+        ("detection/test_narrow_elementary.py::test_nonzero_toi",),
     ),
 ]
 
@@ -1120,28 +1120,28 @@ _CORE = [
         CORE + "rotation.h",
         "turn.w < 0.0",
         "false",
-        ("test_motion.py",),
+        ("motion/test_motion.py",),
     ),
     Mutant(
         "arctangent-one-step",
         CORE + "trig.h",
         "step < 2",
         "step < 1",
-        ("test_motion.py",),
+        ("motion/test_motion.py",),
     ),
     Mutant(
         "reduction-without-middle",
         CORE + "trig.h",
         "std::fma(-quadrant, half_pi_middle, r)",
         "r",
-        ("test_motion.py",),
+        ("motion/test_motion.py",),
     ),
     Mutant(
         "reduction-without-low",
         CORE + "trig.h",
         "std::fma(-quadrant, half_pi_low, r)",
         "r",
-        ("test_motion.py",),
+        ("motion/test_motion.py",),
         equivalent="2^-110 of up to 2^20 quadrants is 2^-90, far below 2^-53; it affects only the relative error near"
         " the zeros, which is unspecified",
     ),
@@ -1150,7 +1150,7 @@ _CORE = [
         CORE + "trig.h",
         "1.0 / 355687428096000.0",
         "0.0",
-        ("test_motion.py", *ON_CORE),
+        ("motion/test_motion.py", *ON_CORE),
         equivalent="(pi/4)^17 / 17! is 2^-54: less than the margin of the specified 2 units",
     ),
     Mutant(
@@ -1158,14 +1158,14 @@ _CORE = [
         CORE + "trig.h",
         "-1.0 / 1307674368000.0",
         "-q / 355687428096000.0",
-        ("test_motion.py", *ON_CORE),
+        ("motion/test_motion.py", *ON_CORE),
     ),
     Mutant(
         "versine-last-term",
         CORE + "trig.h",
         "1.0 / 6402373705728000.0",
         "0.0",
-        ("test_motion.py", *ON_CORE),
+        ("motion/test_motion.py", *ON_CORE),
         equivalent="(pi/4)^18 / 18! is 2^-59",
     ),
     Mutant(
@@ -1173,7 +1173,7 @@ _CORE = [
         CORE + "trig.h",
         "-1.0 / 20922789888000.0",
         "-q / 6402373705728000.0",
-        ("test_motion.py", *ON_CORE),
+        ("motion/test_motion.py", *ON_CORE),
     ),
 ]
 
@@ -1183,7 +1183,7 @@ _BROAD = [
         BROAD + "body_volumes.h",
         "1.7320508075688774 * 0x1p-54",
         "0.0",
-        ("test_broad_rounding.py",),
+        ("kernels/test_broad_rounding.py",),
         switched=False,
     ),
     Mutant(
@@ -1191,14 +1191,14 @@ _BROAD = [
         BROAD + "body_volumes.h",
         "bodies.separation + pair_tolerance(bodies.centres, i, j, bodies.tolerance)",
         "bodies.separation",
-        ("test_broad.py", "test_broad_rounding.py", "test_extremes.py"),
+        ("detection/test_broad.py", "kernels/test_broad_rounding.py", "detection/test_extremes.py"),
     ),
     Mutant(
         "swept-box-without-tolerance",
         BROAD + "body_volumes.h",
         "bodies.separation + (bodies.tolerance < 0.0 ? -bodies.tolerance * radius : bodies.tolerance)",
         "bodies.separation",
-        ("test_broad.py", "test_broad_rounding.py", "test_extremes.py"),
+        ("detection/test_broad.py", "kernels/test_broad_rounding.py", "detection/test_extremes.py"),
     ),
     Mutant(
         "predicate-offset-slack-zero",
@@ -1281,7 +1281,7 @@ _BROAD = [
         BROAD + "grid_item.h",
         "span.upper[k] - span.lower[k]",
         "span.upper[k] - span.lower[k] - 1",
-        ("test_broad_phases.py",),
+        ("detection/test_broad_phases.py",),
     ),
     Mutant(
         "swept-box-radius-slack-zero",
@@ -1476,7 +1476,7 @@ _BOUNDS = [
         "pgccd/geometry/mesh.py",
         "radius * (1.0 + 2.0**-50)",
         "radius",
-        ("test_mesh.py::test_sphere_bound_and_edges", *ON_BOUNDS),
+        ("geometry/test_mesh.py::test_sphere_bound_and_edges", *ON_BOUNDS),
         switched=False,
     ),
 ]
@@ -1758,7 +1758,7 @@ _SPACE = [
         BROAD + "body_volumes.h",
         "if (bodies.elsewhere && bodies.elsewhere[i] && bodies.elsewhere[j]) return false;",
         "",
-        ("test_broad.py",),
+        ("detection/test_broad.py",),
         switched=False,
     ),
 ]
@@ -1776,7 +1776,7 @@ _CROSSING = [
         NARROW + "crossing.h",
         "4.0 * (scale * point_error)",
         "0.0 * (scale * point_error)",
-        ("test_unequal_sizes.py::test_starts_that_cross_by_less_than_rounding",),
+        ("detection/test_unequal_sizes.py::test_starts_that_cross_by_less_than_rounding",),
     ),
     Mutant(
         "crossing-filter-only",
@@ -1797,7 +1797,7 @@ _CROSSING = [
         CORE + "exact_volume.h",
         "two_sum(a[k].low, -b[k].low)",
         "two_sum(0.0 * a[k].low, -0.0 * b[k].low)",
-        ("test_unequal_sizes.py::test_starts_that_cross_by_less_than_rounding",),
+        ("detection/test_unequal_sizes.py::test_starts_that_cross_by_less_than_rounding",),
     ),
     Mutant(
         "start-distance-rounding",
@@ -1811,7 +1811,7 @@ _CROSSING = [
         TRAVERSE + "rigid_sweep.h",
         "sweep_detail::start_distance(settings, scale * path.rounding)",
         "sweep_detail::start_distance(settings, 0.0)",
-        ("test_unequal_sizes.py::test_starts_that_cross_by_less_than_rounding",),
+        ("detection/test_unequal_sizes.py::test_starts_that_cross_by_less_than_rounding",),
     ),
     Mutant(
         "start-of-leaves-apart",
@@ -1825,14 +1825,14 @@ _CROSSING = [
         TRAVERSE + "leaf_item.h",
         "edges_at(common_i) | edges_at(common_j) << 3",
         "0u * (common_i | common_j)",
-        ("test_self_collision.py",),
+        ("detection/test_self_collision.py",),
     ),
     Mutant(
         "crossing-that-wins-among-equal-times",
         NARROW + "narrow_cpu.cpp",
         "std::make_tuple(c.kind, c.feature_i, c.feature_j)",
         "std::make_tuple(-c.kind, c.feature_i, c.feature_j)",
-        ("test_narrow.py", *ON_CROSSING),
+        ("detection/test_narrow.py", *ON_CROSSING),
         switched=False,
     ),
 ]

@@ -10,9 +10,9 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.shapes import tensors, tetrahedron, unit_quaternions
-from test_broad import agreed, check, scattered
 
 import pgccd
+from detection.test_broad import agreed, check, scattered
 
 Arrays = tuple[np.ndarray, np.ndarray, np.ndarray]
 

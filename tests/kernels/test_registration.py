@@ -12,7 +12,7 @@ import torch
 from pgccd import _C, ops
 from pgccd.about import describe_installation
 
-CSRC = Path(__file__).resolve().parents[1] / "csrc"
+CSRC = Path(__file__).resolve().parents[2] / "csrc"
 BIND = CSRC / "bind"
 # The baseline runs on CPUs only.
 ON_CPU_ALONE = {"pgccd::voxels_touched", "pgccd::voxel_boxes", "pgccd::voxel_pairs"}

@@ -11,9 +11,9 @@ from strategies import contacts
 from strategies.contacts import Meetings
 from support.candidates import found_contact
 from support.shapes import directions
-from test_margins_traverse import BARELY, assert_touching, missed
 
 import pgccd
+from kernels.test_margins_traverse import BARELY, assert_touching, missed
 
 
 def off_unit(meetings: Meetings, factor: float) -> Meetings:

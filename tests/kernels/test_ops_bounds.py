@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 import torch
 
-TESTS = Path(__file__).resolve().parent
+TESTS = Path(__file__).resolve().parents[1]
 
 # Operator, argument (and list element), name in the error message: indices that must be validated.
 INDICES = [

@@ -31,7 +31,7 @@ def test_other_names_are_refused(bad: str) -> None:
 def test_compiler_is_downloaded_only_where_it_is_needed(
     wish: str | None, gpus: int, home: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    spec = importlib.util.spec_from_file_location("bootstrap", Path(__file__).resolve().parents[1] / "bootstrap.py")
+    spec = importlib.util.spec_from_file_location("bootstrap", Path(__file__).resolve().parents[2] / "bootstrap.py")
     assert spec is not None and spec.loader is not None
     bootstrap = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(bootstrap)

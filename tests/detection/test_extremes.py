@@ -9,9 +9,9 @@ import pytest
 import torch
 from oracle.broad import sphere_pairs
 from support.shapes import bumpy, tensors, tetrahedron
-from test_broad import agreed, scattered
 
 import pgccd
+from detection.test_broad import agreed, scattered
 
 OCTAHEDRON = (
     [[1.0, 0, 0], [-1.0, 0, 0], [0, 1.0, 0], [0, -1.0, 0], [0, 0, 1.0], [0, 0, -1.0]],

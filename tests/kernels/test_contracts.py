@@ -16,7 +16,7 @@ from pgccd.detection.capacity import COUNTS_OF_PAIRS, Counts
 from pgccd.motion.faults import CHECK_NUMBERS
 from pgccd.sim import model
 
-CSRC = Path(__file__).resolve().parents[1] / "csrc"
+CSRC = Path(__file__).resolve().parents[2] / "csrc"
 
 
 def enumerators(header: str, name: str) -> dict[str, int]:

@@ -7,9 +7,9 @@ from fractions import Fraction
 import numpy as np
 import pytest
 import torch
+from detection.test_broad import agreed, check
 from oracle.broad import spheres_meet
 from support.shapes import directions, tensors
-from test_broad import agreed, check
 
 from pgccd import ops
 

@@ -7,9 +7,9 @@ from fractions import Fraction
 import numpy as np
 import pytest
 import torch
+from geometry.test_mesh import assert_encloses, prepared
 from strategies import contacts
 from support.shapes import bumpy, directions, tensors, turned, unit_quaternions
-from test_mesh import assert_encloses, prepared
 
 import pgccd
 

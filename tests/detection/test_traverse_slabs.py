@@ -17,9 +17,9 @@ import pytest
 import torch
 from support.shapes import Bodies, tetrahedron
 from support.truth import linear_truth
-from test_traverse import assert_all_there, candidates, moving
 
 import pgccd
+from detection.test_traverse import assert_all_there, candidates, moving
 
 TINY = 2e-4
 
