@@ -1250,8 +1250,8 @@ _BROAD = [
     Mutant(
         "any-times-travel-0.999",
         BROAD + "body_volumes.h",
-        "0.5 * norm(load_vec3",
-        "0.4995 * norm(load_vec3",
+        "half_travel(bodies.centres, i)",
+        "0.999 * half_travel(bodies.centres, i)",
         ON_BROAD,
     ),
     Mutant(
