@@ -87,6 +87,8 @@ class PairColumns:
 
     pairs: Tensor
     scene: Scene | None = field(default=None, init=False, repr=False, compare=False)
+    # Whether the contacts are those of the bodies of one of several ranks.
+    _is_of_rank: bool = field(default=False, init=False, repr=False, compare=False)
 
     _names: ClassVar[tuple[str, ...]] = ("pairs",)
 
@@ -113,17 +115,27 @@ class PairColumns:
 
     def may_collide(self, by: By = "scene") -> Tensor:
         """Whether there is a contact, bool: () for the "scene", (W,) per "world" (W is one more than the largest world
-        index), or (N,) per "body"; for every report. True where the result is incomplete, see `PaddedContacts`. With
-        report="earliest" only the "scene" has all contacts. Does not synchronise.
+        index), or (N,) per "body"; for every report, but of "earliest", which leaves out the contacts of other pairs,
+        only for the "scene". True where the result is incomplete, see `PaddedContacts`. Does not synchronise.
 
         Raises:
-            ValueError: `by` is unknown or needs a scene.
+            ValueError: `by` is unknown, needs a scene, or the contacts needed were not reported; or these are the
+                contacts of one of several ranks.
 
         Example:
             >>> x = torch.where(hits.may_collide(), x0, x1)  # all bodies move, or none
         """
+        self._require_contacts_of(by)
         found, incomplete = any_contact(self.pairs, self.scene, by), self._incomplete
         return found if incomplete is None else found | incomplete.reshape(())
+
+    def _require_contacts_of(self, by: By) -> None:
+        """Raises ValueError if there may be other contacts of the scene, worlds or bodies than these."""
+        if self._is_of_rank:
+            raise ValueError(
+                "hits: has the contacts of this rank's bodies alone: see World.first_toi, and Comm.min or Comm.any for "
+                "all ranks"
+            )
 
 
 class WithoutTimes:
@@ -157,18 +169,27 @@ class ContactColumns(PairColumns):
     def first_toi(self, by: By = "scene") -> Tensor:
         """The first toi, float64, inf without a contact: () for the "scene", (W,) per "world" (W is one more than the
         largest world index), or (N,) per "body". 0 where the result is incomplete, see `PaddedContacts`. With
-        report="earliest" only that of the "scene" is the first of all contacts. Does not synchronise.
+        report="earliest", which leaves out the contacts of other pairs, only of the "scene". Does not synchronise.
 
         All bodies of the scene, or of a world, may move until its first toi. A body may not move until its own toi
         alone: others, tested against its whole path, may then collide with it where it stops.
 
         Raises:
-            ValueError: `by` is unknown or needs a scene.
+            ValueError: `by` is unknown, needs a scene, or the contacts needed were not reported; or these are the
+                contacts of one of several ranks.
 
         Example:
             >>> x0 + hits.first_toi("scene").clamp(max=1.0) * (x1 - x0)  # the collision-free part of the step
         """
+        self._require_contacts_of(by)
         return first_time(self.pairs, self.toi, self.scene, by, self._incomplete)
+
+    def _require_contacts_of(self, by: By) -> None:
+        super()._require_contacts_of(by)
+        if self._is_earliest and by != "scene":
+            raise ValueError(
+                f'by: {by!r}: report "earliest" leaves out the contacts of other pairs; ask for "first" or "all"'
+            )
 
     @property
     def starts_intersecting(self) -> Tensor:
@@ -236,7 +257,7 @@ class CountedRows(PairColumns):
     def _map(self, change: Callable[[Tensor], Tensor]) -> Self:
         columns: dict[str, Any] = {name: change(column) for name, column in self.columns.items()}
         changed = replace(self, **columns)
-        changed.scene = self.scene
+        changed.scene, changed._is_of_rank = self.scene, self._is_of_rank
         return changed
 
     def __repr__(self) -> str:

@@ -39,6 +39,7 @@ class PaddedRows(PairColumns):
         return self.overflow
 
     def may_collide(self, by: By = "scene") -> Tensor:
+        self._require_contacts_of(by)
         if by == "scene" or self._reach is None:
             return super().may_collide(by)
         lost = torch.cat(overflow_flags(self.counts)).any()
@@ -95,6 +96,7 @@ class PaddedContacts(ContactColumns, PaddedRows):
     _found_toi: Tensor | None = field(default=None, init=False, repr=False, compare=False)
 
     def first_toi(self, by: By = "scene") -> Tensor:
+        self._require_contacts_of(by)
         if by == "scene" or self._reach is None or self._found_toi is None:
             return super().first_toi(by)
         lost = torch.cat(overflow_flags(self.counts)).any()

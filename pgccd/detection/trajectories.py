@@ -30,7 +30,7 @@ class TrajectoryContacts(Contacts):
     Attributes:
         segment: (K,) int64: from waypoint `segment` to the next.
         toi: (K,) float64 in [0, 1], within the segment.
-        time: (K,) float64 in [0, 1] along the whole trajectory: (segment + toi) / (T - 1).
+        time: (K,) float64 in [0, 1] along the whole trajectory: (segment + toi) / (T - 1), rounded down.
         pairs, kind, features, coordinates, point, normal, status, stats, scene: as of `Contacts`.
     """
 
@@ -41,6 +41,7 @@ class TrajectoryContacts(Contacts):
 
     def first_toi(self, by: By = "scene") -> Tensor:
         """As `Contacts.first_toi`, for `time` along the whole trajectory."""
+        self._require_contacts_of(by)
         return first_time(self.pairs, self.time, self.scene, by)
 
 
@@ -97,12 +98,23 @@ def detect_trajectory(
 
 
 def time_along(segment: Tensor, toi: Tensor, segments: int) -> Tensor:
-    """(K,) float64: times in [0, 1] along a trajectory of so many segments, from times within a segment.
+    """(K,) float64: times in [0, 1] along a trajectory of so many segments, from times within a segment: never later
+    than the exact ones, so both operations are corrected where they have rounded up.
 
     The divisor is a tensor, because torch divides by a Python number on CUDA by multiplying with its reciprocal, which
     rounds differently.
     """
-    return (segment + toi) / torch.full((), segments, dtype=torch.float64, device=toi.device)
+    count = torch.full((), segments, dtype=torch.float64, device=toi.device)
+    begin, zero = segment.to(torch.float64), torch.zeros((), dtype=torch.float64, device=toi.device)
+    total = begin + toi
+    # Exact, since `begin` is 0 or not less than `toi` (Dekker 1971): negative where the sum is too large.
+    total = torch.where(toi - (total - begin) < 0.0, torch.nextafter(total, zero), total)
+    time = total / count
+    # The remainder is exact: products of 26 bits, by Veltkamp's splitting, and numbers of up to 27 bits.
+    large = time * 134217729.0  # 2^27 + 1
+    high = large - (large - time)
+    remainder = (total - high * count) - (time - high) * count
+    return torch.where(remainder < 0.0, torch.nextafter(time, zero), time)
 
 
 def repeated(scene: Scene, times: int) -> Scene:

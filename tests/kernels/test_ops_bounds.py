@@ -67,13 +67,12 @@ LENGTHS += (
     "lower_first_toi_rigid",
 )
 LENGTHS += ("detect_rigid", "reached_ranks", "vertex_face", "edge_edge", "voxels_touched", "voxel_boxes")
-PROGRAM = "import sys; sys.path.insert(0, {tests!r}); import test_ops_bounds; test_ops_bounds.{function}()"
+PROGRAM = "import sys; sys.path.insert(0, {tests!r}); from kernels import test_ops_bounds; test_ops_bounds.{function}()"
 
 
 def calls() -> dict[str, tuple[Any, ...]]:
     """The call with the most data, for each operator."""
-    from test_ops import Recorder, recorded
-
+    from kernels.test_ops import Recorder, recorded
     from pgccd import ops, sim
 
     every = recorded(torch.device("cpu"))

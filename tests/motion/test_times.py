@@ -153,3 +153,24 @@ def test_gradients_are_refused() -> None:
         pgccd.Trajectory(points)
     with torch.no_grad():
         assert pgccd.Trajectory(points).segment_count == 2
+
+
+@pytest.mark.parametrize("padded", [False, True])
+def test_the_earliest_contact_says_nothing_of_other_worlds_and_bodies(device: torch.device, padded: bool) -> None:
+    """Two worlds, in both of which two bodies intersect."""
+    mesh = pgccd.Mesh(torch.eye(4, 3).double(), [[0, 1, 2], [0, 3, 1], [1, 3, 2], [0, 2, 3]])
+    scene = pgccd.Scene([mesh], [0] * 4, device, world=torch.tensor([0, 0, 1, 1], device=device))
+    position = torch.zeros((4, 3), dtype=torch.float64, device=device)
+    position[1::2] += 0.1
+    motion = pgccd.RigidMotion.at_rest(position, torch.eye(4, device=device).double()[:1].repeat(4, 1))
+    capacity = pgccd.Capacity.of(4) if padded else None
+    every = pgccd.detect(scene, motion, capacity=capacity)  # type: ignore[call-overload]
+    assert every.may_collide("world").all() and every.may_collide("body").all()
+    hits = pgccd.detect(scene, motion, "earliest", capacity=capacity)  # type: ignore[call-overload]
+    some = [hits] if padded else [hits, every.earliest(), hits[[0]]]
+    for earliest in some:
+        assert bool(earliest.may_collide()) and float(earliest.first_toi()) == 0.0
+        for by in ("world", "body"):
+            for name in ("may_collide", "first_toi"):
+                with pytest.raises(ValueError, match='by: .*"earliest" leaves out the contacts of other pairs'):
+                    getattr(earliest, name)(by)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
 import torch
@@ -9,6 +11,7 @@ from support.origins import recentred
 from support.shapes import bumpy, tensors, tetrahedron, unit_quaternions
 
 import pgccd
+from pgccd.detection.trajectories import time_along
 
 COLUMNS = ("toi", "kind", "features", "coordinates", "point", "normal", "status")
 
@@ -174,3 +177,14 @@ def test_what_a_trajectory_cannot_be() -> None:
         pgccd.detect(scene, trajectory, pairs=torch.zeros((0, 2), dtype=torch.int64))  # type: ignore[call-overload]
     with pytest.raises(IndexError, match="^index: "):
         trajectory.segment(2)
+
+
+def test_times_along_a_trajectory_are_never_late(device: torch.device) -> None:
+    rng = np.random.default_rng(3)
+    for count in (1, 3, 7, 3000, 2**20 + 1):
+        segment = rng.integers(0, count, 3000)
+        toi = np.where(rng.random(3000) < 0.1, rng.integers(0, 2, 3000), rng.random(3000) ** 9)
+        time = time_along(*tensors(segment, toi, device=device), count)
+        for s, t, found in zip(segment.tolist(), toi.tolist(), time.tolist(), strict=True):
+            exact = (s + Fraction(t)) / count
+            assert 0 <= exact - Fraction(found) <= exact * Fraction(2) ** -51, (count, s, t)

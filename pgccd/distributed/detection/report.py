@@ -29,7 +29,9 @@ def tell_owners(found: Share) -> Contacts | CollidingPairs:
     rows, destination = torch.cat([everything, second]), torch.cat([owner[:, 0], owner[second, 1]])
     received = make_route(found.held.route.neighbours, rows, destination).forward(columns).wait()
     ordered: dict[str, Any] = take_rows(received, _canonical_order(received["pairs"]))
-    return type(found.contacts)(**ordered, stats=found.contacts.stats)
+    told = type(found.contacts)(**ordered, stats=found.contacts.stats)
+    told._is_of_rank = found.held.route.neighbours.comm.size > 1
+    return told
 
 
 def earliest_for_all(comm: Comm, found: Share, ids: int | None = None) -> Contacts:
@@ -77,6 +79,8 @@ def first_toi_of(id: Tensor, hits: Contacts | CollidingPairs) -> Tensor:
         raise ValueError('hits: report="any" gives no toi')
     if not isinstance(hits, Contacts):
         raise TypeError(f"hits: expected pgccd.Contacts, got {arguments.describe(hits)}")
+    if hits._is_earliest:
+        raise ValueError('hits: report="earliest" leaves out the contacts of other pairs; ask for "first" or "all"')
     first = torch.full((len(id),), torch.inf, dtype=torch.float64, device=id.device)
     time = hits.time if isinstance(hits, TrajectoryContacts) else hits.toi
     bodies, toi = hits.pairs.reshape(-1), time.repeat_interleave(2)

@@ -84,7 +84,9 @@ class Segments:
         segment = torch.div(contacts.pairs[:, 0], self.ids, rounding_mode="floor")
         columns["pairs"] = contacts.pairs - self.ids * segment[:, None]
         if isinstance(contacts, CollidingPairs):
-            return CollidingPairs(**columns)
+            colliding = CollidingPairs(**columns)
+            colliding._is_of_rank = contacts._is_of_rank
+            return colliding
         found = TrajectoryContacts(**columns, segment=segment, time=time_along(segment, contacts.toi, self.count))
-        found._is_earliest = contacts._is_earliest
+        found._is_earliest, found._is_of_rank = contacts._is_earliest, contacts._is_of_rank
         return found
