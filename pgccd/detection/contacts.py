@@ -115,22 +115,26 @@ class PairColumns:
 
     def may_collide(self, by: By = "scene") -> Tensor:
         """Whether there is a contact, bool: () for the "scene", (W,) per "world" (W is one more than the largest world
-        index), or (N,) per "body"; for every report, but of "earliest", which leaves out the contacts of other pairs,
-        only for the "scene". True where the result is incomplete, see `PaddedContacts`. Does not synchronise.
+        index), or (N,) per "body"; for every report. True where the result is incomplete, see `PaddedContacts`; with
+        report="earliest", which leaves out the contacts of other pairs, everywhere if there is a contact. Does not
+        synchronise.
 
         Raises:
-            ValueError: `by` is unknown, needs a scene, or the contacts needed were not reported; or these are the
-                contacts of one of several ranks.
+            ValueError: `by` is unknown or needs a scene; or these are the contacts of one of several ranks.
 
         Example:
             >>> x = torch.where(hits.may_collide(), x0, x1)  # all bodies move, or none
         """
-        self._require_contacts_of(by)
-        found, incomplete = any_contact(self.pairs, self.scene, by), self._incomplete
+        self._require_all_ranks()
+        found, incomplete = self._any_contact(by), self._incomplete
         return found if incomplete is None else found | incomplete.reshape(())
 
-    def _require_contacts_of(self, by: By) -> None:
-        """Raises ValueError if there may be other contacts of the scene, worlds or bodies than these."""
+    def _any_contact(self, by: By) -> Tensor:
+        """As `may_collide`, of a complete result."""
+        return any_contact(self.pairs, self.scene, by)
+
+    def _require_all_ranks(self) -> None:
+        """Raises ValueError if other ranks may have other contacts."""
         if self._is_of_rank:
             raise ValueError(
                 "hits: has the contacts of this rank's bodies alone: see World.first_toi, and Comm.min or Comm.any for "
@@ -169,27 +173,31 @@ class ContactColumns(PairColumns):
     def first_toi(self, by: By = "scene") -> Tensor:
         """The first toi, float64, inf without a contact: () for the "scene", (W,) per "world" (W is one more than the
         largest world index), or (N,) per "body". 0 where the result is incomplete, see `PaddedContacts`. With
-        report="earliest", which leaves out the contacts of other pairs, only of the "scene". Does not synchronise.
+        report="earliest", which leaves out the contacts of other pairs, that of the scene everywhere: no other world or
+        body has an earlier one. Does not synchronise.
 
         All bodies of the scene, or of a world, may move until its first toi. A body may not move until its own toi
         alone: others, tested against its whole path, may then collide with it where it stops.
 
         Raises:
-            ValueError: `by` is unknown, needs a scene, or the contacts needed were not reported; or these are the
-                contacts of one of several ranks.
+            ValueError: `by` is unknown or needs a scene; or these are the contacts of one of several ranks.
 
         Example:
             >>> x0 + hits.first_toi("scene").clamp(max=1.0) * (x1 - x0)  # the collision-free part of the step
         """
-        self._require_contacts_of(by)
-        return first_time(self.pairs, self.toi, self.scene, by, self._incomplete)
+        self._require_all_ranks()
+        return self._first_time(self.toi, by, self._incomplete)
 
-    def _require_contacts_of(self, by: By) -> None:
-        super()._require_contacts_of(by)
-        if self._is_earliest and by != "scene":
-            raise ValueError(
-                f'by: {by!r}: report "earliest" leaves out the contacts of other pairs; ask for "first" or "all"'
-            )
+    def _first_time(self, time: Tensor, by: By, incomplete: Tensor | None = None) -> Tensor:
+        """The least `time` (K,) of contacts; 0 if `incomplete` (1,) bool."""
+        found = first_time(self.pairs, time, self.scene, by, incomplete)
+        if not self._is_earliest or by == "scene":
+            return found
+        return torch.minimum(found, first_time(self.pairs, time, self.scene, "scene", incomplete))
+
+    def _any_contact(self, by: By) -> Tensor:
+        found = any_contact(self.pairs, self.scene, by)
+        return found | any_contact(self.pairs, self.scene, "scene") if self._is_earliest else found
 
     @property
     def starts_intersecting(self) -> Tensor:

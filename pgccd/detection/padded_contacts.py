@@ -11,7 +11,7 @@ from torch import Tensor
 
 from pgccd.detection.capacity import COUNT_ROWS, BufferSizes, Capacity, CapacityError, Counts, overflow_flags, sizes_of
 from pgccd.detection.contacts import CollidingPairs, ContactColumns, Contacts, PairColumns, Stats, WithoutTimes
-from pgccd.detection.grouping import By, any_contact, first_time
+from pgccd.detection.grouping import By, any_contact
 from pgccd.motion.faults import Faults
 
 
@@ -39,11 +39,10 @@ class PaddedRows(PairColumns):
         return self.overflow
 
     def may_collide(self, by: By = "scene") -> Tensor:
-        self._require_contacts_of(by)
         if by == "scene" or self._reach is None:
             return super().may_collide(by)
         lost = torch.cat(overflow_flags(self.counts)).any()
-        return any_contact(self.pairs, self.scene, by) | lost | self._in_invalid_worlds(self._reach, by)
+        return self._any_contact(by) | lost | self._in_invalid_worlds(self._reach, by)
 
     def _in_invalid_worlds(self, reach: Tensor, by: By) -> Tensor:
         """Which worlds (W,) have an invalid body, or which bodies (N,) are in these."""
@@ -96,11 +95,10 @@ class PaddedContacts(ContactColumns, PaddedRows):
     _found_toi: Tensor | None = field(default=None, init=False, repr=False, compare=False)
 
     def first_toi(self, by: By = "scene") -> Tensor:
-        self._require_contacts_of(by)
         if by == "scene" or self._reach is None or self._found_toi is None:
             return super().first_toi(by)
         lost = torch.cat(overflow_flags(self.counts)).any()
-        found = first_time(self.pairs, self._found_toi, self.scene, by, lost)
+        found = self._first_time(self._found_toi, by, lost)
         return found.masked_fill(self._in_invalid_worlds(self._reach, by), 0.0)
 
     def trim(self) -> Contacts:

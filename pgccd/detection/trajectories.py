@@ -10,7 +10,7 @@ from torch import Tensor
 from pgccd.detection import narrow
 from pgccd.detection.bodies import check_scene
 from pgccd.detection.contacts import COLUMNS, CollidingPairs, Contacts, earliest_row
-from pgccd.detection.grouping import By, first_time
+from pgccd.detection.grouping import By
 from pgccd.detection.query import Query
 from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
@@ -41,8 +41,8 @@ class TrajectoryContacts(Contacts):
 
     def first_toi(self, by: By = "scene") -> Tensor:
         """As `Contacts.first_toi`, for `time` along the whole trajectory."""
-        self._require_contacts_of(by)
-        return first_time(self.pairs, self.time, self.scene, by)
+        self._require_all_ranks()
+        return self._first_time(self.time, by)
 
 
 #: Finds the contacts of one step.

@@ -287,3 +287,28 @@ def test_mistakes_are_named(ranks: World) -> None:
         assert said[2] == "motion: ranks have [1, 2] segments"
         assert said[3].startswith("motion: expected a pgccd.RigidMotion, VertexMotion or Trajectory")
         assert said[4].startswith("x: expected (") and said[5].startswith("y: not a payload of this world")
+
+
+def look_at_all(comm: Comm) -> bool:
+    """Whether contacts of one of several ranks refuse to tell of the scene."""
+    mine = torch.arange(comm.rank, 40, comm.size)
+    position = torch.rand((40, 3), dtype=torch.float64, generator=torch.Generator().manual_seed(2))[mine]
+    mesh = pgccd.Mesh(0.2 * torch.eye(4, 3).double(), [[0, 1, 2], [0, 3, 1], [1, 3, 2], [0, 2, 3]])
+    world = SharedWorld.create([mesh], (0.0,) * 3, (1.0,) * 3, position, id=mine, comm=comm)
+    turn = torch.eye(4).double()[:1].repeat(len(world.id), 1)
+    hits = world.step(pgccd.RigidMotion.at_rest(world.position, turn))
+    assert world.first_toi(hits).shape == (len(world.id),)
+    refused = []
+    for some in (hits, hits[: len(hits) // 2]):
+        for ask in (some.may_collide, some.first_toi):
+            try:
+                ask()
+            except ValueError as error:
+                refused.append("this rank's bodies alone" in str(error))
+    assert not any(refused) or (len(refused) == 4 and all(refused))
+    return bool(refused)
+
+
+@pytest.mark.parametrize("size", [1, 2])
+def test_contacts_of_a_rank_say_nothing_of_the_scene(ranks: World, size: int) -> None:
+    assert ranks.run(size, look_at_all) == [size > 1] * size  # type: ignore[attr-defined]

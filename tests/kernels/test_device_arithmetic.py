@@ -25,9 +25,9 @@ from pgccd import sim
 EXACT = """
     _to_copy _unsafe_view abs add alias amax amin arange as_strided cat ceil clamp clone constant_pad_nd contiguous
     copy detach div empty empty_like empty_strided expand fill floor full full_like gather index index_put
-    index_select lift_fresh masked_fill max maximum min minimum mul neg new_empty new_full new_zeros ones ones_like
-    permute repeat repeat_interleave reshape rsub scalar_tensor scatter scatter_reduce select slice sort split sqrt
-    squeeze stack sub transpose unbind unsqueeze view where zero zeros zeros_like set_
+    index_select lift_fresh masked_fill max maximum min minimum mul neg new_empty new_full new_zeros nextafter ones
+    ones_like permute repeat repeat_interleave reshape rsub scalar_tensor scatter scatter_reduce select slice sort split
+    sqrt squeeze stack sub transpose unbind unsqueeze view where zero zeros zeros_like set_
 """
 
 

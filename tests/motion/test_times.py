@@ -156,7 +156,7 @@ def test_gradients_are_refused() -> None:
 
 
 @pytest.mark.parametrize("padded", [False, True])
-def test_the_earliest_contact_says_nothing_of_other_worlds_and_bodies(device: torch.device, padded: bool) -> None:
+def test_the_earliest_contact_bounds_those_of_other_worlds_and_bodies(device: torch.device, padded: bool) -> None:
     """Two worlds, in both of which two bodies intersect."""
     mesh = pgccd.Mesh(torch.eye(4, 3).double(), [[0, 1, 2], [0, 3, 1], [1, 3, 2], [0, 2, 3]])
     scene = pgccd.Scene([mesh], [0] * 4, device, world=torch.tensor([0, 0, 1, 1], device=device))
@@ -169,8 +169,11 @@ def test_the_earliest_contact_says_nothing_of_other_worlds_and_bodies(device: to
     hits = pgccd.detect(scene, motion, "earliest", capacity=capacity)  # type: ignore[call-overload]
     some = [hits] if padded else [hits, every.earliest(), hits[[0]]]
     for earliest in some:
-        assert bool(earliest.may_collide()) and float(earliest.first_toi()) == 0.0
-        for by in ("world", "body"):
-            for name in ("may_collide", "first_toi"):
-                with pytest.raises(ValueError, match='by: .*"earliest" leaves out the contacts of other pairs'):
-                    getattr(earliest, name)(by)
+        for by in ("scene", "world", "body"):
+            assert bool(earliest.may_collide(by).all()) and not bool(earliest.first_toi(by).any())
+    apart = pgccd.RigidMotion.at_rest(
+        10.0 * torch.arange(12.0, device=device).double().view(4, 3), motion.orientation_t0
+    )
+    nothing = pgccd.detect(scene, apart, "earliest", capacity=capacity)  # type: ignore[call-overload]
+    for by in ("scene", "world", "body"):
+        assert not bool(nothing.may_collide(by).any()) and bool(nothing.first_toi(by).isinf().all())

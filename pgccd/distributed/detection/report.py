@@ -79,11 +79,11 @@ def first_toi_of(id: Tensor, hits: Contacts | CollidingPairs) -> Tensor:
         raise ValueError('hits: report="any" gives no toi')
     if not isinstance(hits, Contacts):
         raise TypeError(f"hits: expected pgccd.Contacts, got {arguments.describe(hits)}")
-    if hits._is_earliest:
-        raise ValueError('hits: report="earliest" leaves out the contacts of other pairs; ask for "first" or "all"')
     first = torch.full((len(id),), torch.inf, dtype=torch.float64, device=id.device)
     time = hits.time if isinstance(hits, TrajectoryContacts) else hits.toi
     bodies, toi = hits.pairs.reshape(-1), time.repeat_interleave(2)
     row = torch.searchsorted(id, bodies).clamp_(max=max(0, len(id) - 1))
     own = id[row] == bodies if len(id) else torch.zeros_like(bodies, dtype=torch.bool)
-    return first.scatter_reduce(0, row[own], toi[own], "amin")
+    first = first.scatter_reduce(0, row[own], toi[own], "amin")
+    # Others may have contacts as early as the earliest one of the scene, but no earlier ones.
+    return first.clamp(max=time.amin()) if hits._is_earliest and len(time) else first
