@@ -163,6 +163,7 @@ def search_share(
             estimate=estimates.own,
             slack=slack,
             elsewhere=halo.reach if comm.size > 1 else None,
+            at_any_times=options.at_any_times,
         )
     own_pairs_found = side.mark()
     own_part.begin()
