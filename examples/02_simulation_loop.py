@@ -22,11 +22,11 @@ spin = torch.randn(count, 3, dtype=torch.float64).to(device)
 dt = 0.1
 for step in range(20):
     motion = pgccd.RigidMotion.from_velocity(position, orientation, velocity, spin, dt)
-    # The part of its path that each body moves, such that all together meet nobody. (A body that stopped at its own
-    # toi, while others went on, would be in the way of some of them.)
+    # The fraction of its path that each body can move such that no two touch. (A body that stopped at its own toi,
+    # while others went on, could be hit by some of them.)
     resolved = pgccd.resolve(scene, motion)
     position, orientation = resolved.motion.at(1.0)
-    # Bodies that were stopped go back the way they came: their gap grows at first.
+    # The velocity of a stopped body is reversed, so that its gap grows at first.
     stopped = resolved.fraction < 1.0
     sign = torch.where(stopped, -1.0, 1.0)[:, None]
     velocity, spin = sign * velocity, sign * spin

@@ -82,7 +82,7 @@ class Capacity:
         Raises:
             TypeError, ValueError: `factor` is not a finite number >= 0.
         """
-        raise NotImplementedError
+        return sizes_of(self).times(factor)
 
 
 @dataclass(frozen=True, repr=False)

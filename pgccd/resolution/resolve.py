@@ -73,8 +73,8 @@ def resolve(
     capacity: Capacity | None = None,
     rounds: int | None = None,
 ) -> Resolution[M] | PaddedResolution[M]:
-    """Gives each body the part f_i of its path such that all bodies together, body i on x_i(f_i t) for t in [0, 1],
-    have met nobody: the step that a loop may commit.
+    """The fraction f_i of its path that each body can move such that no two bodies touch, body i on x_i(f_i t) for t in
+    [0, 1]: the step that a loop may commit.
 
     A body stops at 0.99 of its first toi. Others may then meet it where it stopped, so the step is tested again in
     rounds, until no body changes. A body that could move by less than 0.01 of its path does not move, nor does one that

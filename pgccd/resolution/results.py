@@ -53,7 +53,7 @@ class PaddedResolution(Generic[M]):
     """A `Resolution` in a fixed number of rows, from `resolve(capacity=...)`: the host has not synchronised yet.
 
     The result is incomplete if a capacity was exceeded, a pose is invalid, or the last round still changed a body. Then
-    nobody moves: `fraction` is 0 for every body, also for those that may not be stopped, and no pair is listed.
+    `fraction` is 0 for every body, also for those that may not be stopped, and no pair is listed.
 
     Attributes:
         motion, fraction, stopped_by: as of `Resolution`.
