@@ -23,10 +23,14 @@ class RankPool:
     """Up to four processes. `run` uses the requested number of them as the ranks of one world, over Gloo."""
 
     def __init__(self) -> None:
+        self._pipes: list[multiprocessing.connection.Connection] = []
+        self._processes: list[multiprocessing.process.BaseProcess] = []
+        self._start()
+
+    def _start(self) -> None:
         # One process imports torch, and forks the ranks before it starts any thread.
         context = multiprocessing.get_context("forkserver")
         context.set_forkserver_preload(["pgccd.distributed"])
-        self._pipes, self._processes = [], []
         for rank in range(MOST_RANKS):
             ours, theirs = context.Pipe()
             process = context.Process(target=_serve, args=(rank, theirs), daemon=True)
@@ -35,7 +39,18 @@ class RankPool:
             self._processes.append(process)
 
     def run(self, size: int, job: Callable[..., Any], *arguments: Any) -> list[Any]:
-        """job(comm, *arguments) on every rank; returns their results. `job` is a module's function."""
+        """job(comm, *arguments) on every rank; returns their results. `job` is a module's function.
+
+        If a rank dies or does not answer, later jobs get new processes.
+        """
+        try:
+            return self._run(size, job, arguments)
+        except (EOFError, OSError):
+            self.close()
+            self._start()
+            raise
+
+    def _run(self, size: int, job: Callable[..., Any], arguments: tuple) -> list[Any]:
         # One store per job, in this process, so that no port is used twice.
         store = dist.TCPStore("127.0.0.1", 0, size + 1, is_master=True, wait_for_workers=False)
         for pipe in self._pipes[:size]:
@@ -54,6 +69,8 @@ class RankPool:
         """Kills the processes."""
         for process in self._processes:
             process.kill()
+        self._pipes.clear()
+        self._processes.clear()
 
 
 def to_all(comm: Comm, value: Any) -> list[Any]:
@@ -74,6 +91,7 @@ def _work(rank: int, port: int, size: int, job: Callable[..., Any], arguments: t
     if size > 1:
         store = dist.TCPStore("127.0.0.1", port, size + 1, is_master=False)
         dist.init_process_group("gloo", store=store, rank=rank, world_size=size)
+        dist.barrier()  # else a job without messages may close its connections while another rank still opens its own
         comm = TorchComm(on_close=dist.destroy_process_group)
     try:
         result = job(comm, *arguments)
