@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from pgccd import _host, arguments
-from pgccd.geometry import mesh_files
+from pgccd.geometry import mesh_files, shapes
 from pgccd.geometry.origin import Origin, checked_origin, origin_point
 from pgccd.geometry.rounding import is_float32, warn_of_rounding
 
@@ -124,6 +124,60 @@ class Mesh:
         self._node_blocks = torch.from_numpy(prepared["node_blocks"]).view(-1, 9, 8)
         self._node_links = torch.from_numpy(prepared["node_links"]).view(-1, 8, 4)
         self._leaf_points = torch.from_numpy(prepared["leaf_points"]).view(-1, 4, 8)
+
+    @classmethod
+    def box(cls, extents: Sequence[float] | np.ndarray | Tensor) -> Mesh:
+        """A box of 12 triangles, centred on the origin, with sides along the axes.
+
+        Args:
+            extents: (3,) side lengths > 0 along x, y and z.
+
+        Raises:
+            TypeError, ValueError: they are not three such lengths.
+
+        Example:
+            >>> pgccd.Mesh.box([2.0, 1.0, 1.0]).faces.shape
+            torch.Size([12, 3])
+        """
+        return cls(*shapes.box(extents))
+
+    @classmethod
+    def sphere(cls, radius: float, subdivisions: int = 3) -> Mesh:
+        """A polyhedron with its vertices on a sphere around the origin: an icosahedron, each of its faces divided into
+        four `subdivisions` times, 20 x 4^subdivisions faces. It lies within the sphere: at 3 subdivisions face centres
+        lie 0.5 % of the radius below it.
+
+        Args:
+            radius: of the sphere, > 0, in scene length units.
+            subdivisions: from 0 to 8.
+
+        Raises:
+            TypeError, ValueError: an argument is not such a number.
+
+        Example:
+            >>> pgccd.Mesh.sphere(0.5).faces.shape
+            torch.Size([1280, 3])
+        """
+        return cls(*shapes.sphere(radius, subdivisions))
+
+    @classmethod
+    def cylinder(cls, radius: float, height: float, sections: int = 32) -> Mesh:
+        """A prism over a regular polygon, with its vertices on a cylinder around the z axis, centred on the origin:
+        4 x sections faces.
+
+        Args:
+            radius: of the cylinder, > 0, in scene length units.
+            height: along z, > 0, in scene length units.
+            sections: corners of the polygon, at least 3.
+
+        Raises:
+            TypeError, ValueError: an argument is not such a number.
+
+        Example:
+            >>> pgccd.Mesh.cylinder(0.1, 1.0).faces.shape
+            torch.Size([128, 3])
+        """
+        return cls(*shapes.cylinder(radius, height, sections))
 
     @classmethod
     def from_trimesh(cls, mesh: Any, origin: Origin = (0.0, 0.0, 0.0), *, weld: bool = True) -> Mesh:
