@@ -29,6 +29,10 @@ def load_motion(path: str | PathLike[str], device: torch.device | str = "cpu") -
     linear_velocity (N, 3), angular_velocity (N, 3) in radians, and dt. Positions are those of the meshes' origins,
     orientations unit quaternions (w, x, y, z), body to world.
 
+    Args:
+        path: of the file.
+        device: of the motion.
+
     Raises:
         ValueError: the file cannot be read, a key is missing or unknown, or its values are not as `RigidMotion` expects
             them.
@@ -70,6 +74,10 @@ def load_scene(path: str | PathLike[str], device: torch.device | str = "cpu") ->
     The file holds {"meshes": [files], "mesh_index": [numbers], "poses": npz file}, paths relative to it; and optionally
     "group", "mask", "world", "static" and "margin", lists with one value per body, and "origin", a list with one value
     per mesh: a point [x, y, z] or a name, as for `Mesh`.
+
+    Args:
+        path: of the file.
+        device: of the scene and its motion.
 
     Raises:
         ValueError: a file cannot be read, a key is missing or unknown, or a value is not as `Scene` expects it.

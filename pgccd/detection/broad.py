@@ -50,6 +50,9 @@ def sweep(
         + tolerance (rounded outward by some 1e-13 of their size), and (i, i) for every body tested against itself;
         sorted.
 
+    Raises:
+        TypeError, ValueError: naming the argument.
+
     Example:
         >>> pairs = pgccd.broad.sweep(bodies)
     """
@@ -63,7 +66,15 @@ def grid(bodies: MovingBodies, min_separation: float = 0.0, tolerance: float | N
 
     Fastest for bodies of few different sizes. Memory is proportional to the number of bodies, whatever their positions.
 
-    Arguments and result, (P, 2) int64, are those of `sweep`.
+    Args:
+        bodies: the scene in motion.
+        min_separation, tolerance: lengths, as for `sweep`.
+
+    Returns:
+        (P, 2) int64, as for `sweep`.
+
+    Raises:
+        TypeError, ValueError: naming the argument.
 
     Example:
         >>> pairs = pgccd.broad.grid(bodies)
@@ -77,7 +88,15 @@ def lbvh(bodies: MovingBodies, min_separation: float = 0.0, tolerance: float | N
 
     Suited to bodies of very different sizes.
 
-    Arguments and result, (P, 2) int64, are those of `sweep`.
+    Args:
+        bodies: the scene in motion.
+        min_separation, tolerance: lengths, as for `sweep`.
+
+    Returns:
+        (P, 2) int64, as for `sweep`.
+
+    Raises:
+        TypeError, ValueError: naming the argument.
 
     Example:
         >>> pairs = pgccd.broad.lbvh(bodies)
@@ -89,6 +108,10 @@ def choose(bodies: MovingBodies, broad_phase: BroadPhase = "auto") -> BroadPhase
     """The broad phase to run: the given one, or for "auto" the one expected to be fastest.
 
     Depends only on host data: the number of bodies and the sizes of the meshes.
+
+    Args:
+        bodies: the scene in motion.
+        broad_phase: "auto", or a name, which is returned.
 
     Raises:
         ValueError: unknown broad phase.
@@ -162,8 +185,18 @@ def find_pairs(
     broad_phase: BroadPhase = "auto",
     tolerance: float | None = None,
 ) -> Tensor:
-    """The PCS by the given broad phase, or by the one that `choose` selects. All broad phases return the same pairs;
-    other arguments as for `sweep`.
+    """The PCS by the given broad phase, or by the one that `choose` selects. All broad phases return the same pairs.
+
+    Args:
+        bodies: the scene in motion.
+        min_separation, tolerance: lengths, as for `sweep`.
+        broad_phase: "sweep", "grid", "lbvh", or "auto": see `choose`.
+
+    Returns:
+        (P, 2) int64, as for `sweep`.
+
+    Raises:
+        TypeError, ValueError: naming the argument.
 
     Example:
         >>> pairs = pgccd.broad.find_pairs(bodies, min_separation=0.01)

@@ -139,7 +139,15 @@ def edge_edge(
     tolerance: float | None = 1e-6,
     nonzero_toi: bool = False,
 ) -> ElementaryResult:
-    """Edge against edge; points ea0, ea1, eb0, eb1. See `vertex_face`.
+    """Edge against edge, all four points on straight lines over the step; otherwise like `vertex_face`.
+
+    Args:
+        points_t0, points_t1: (n, 4, 3) float32 or float64, positions of ea0, ea1, eb0, eb1 at both ends, any one length
+            unit.
+        min_separation, tolerance, nonzero_toi: as for `vertex_face`.
+
+    Raises:
+        TypeError, ValueError: naming the argument; also if points require grad.
 
     Example:
         >>> hit = pgccd.narrow.edge_edge(x0, x1, min_separation=1e-3)
@@ -176,10 +184,14 @@ def find_contacts(
     Args:
         bodies, pairs: as for `pgccd.traverse.find_candidates`.
         candidates: (C, 4) int32, as returned by `find_candidates`.
+        report, min_separation, tolerance, nonzero_toi: as for `pgccd.detect`.
 
     Returns:
         Contacts in canonical order: index into `pairs` (K,), kind (K,), features (K, 2), status (K,), toi (K,),
         coordinates (K, 2), point (K, 3), normal (K, 3).
+
+    Raises:
+        TypeError, ValueError: naming the argument.
 
     Example:
         >>> rows = pgccd.narrow.find_contacts(bodies, pairs, candidates, report="all")

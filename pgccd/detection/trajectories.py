@@ -40,7 +40,14 @@ class TrajectoryContacts(Contacts):
     _names: ClassVar[tuple[str, ...]] = (*COLUMNS, "segment", "time")
 
     def first_toi(self, by: By = "scene") -> Tensor:
-        """As `Contacts.first_toi`, for `time` along the whole trajectory."""
+        """The first `time` along the whole trajectory: in [0, segments], float64, inf without a contact.
+
+        Args:
+            by: "scene" (), "world" (W,) or "body" (N,): see `Contacts.first_toi`.
+
+        Raises:
+            ValueError: `by` is unknown or needs a scene; or these are the contacts of one of several ranks.
+        """
         self._require_all_ranks()
         return self._first_time(self.time, by)
 

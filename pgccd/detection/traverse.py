@@ -44,6 +44,9 @@ def find_candidates(
         (i, i) they are of kind VF_AB, EE with the smaller edge first, or EF_AB. The order of rows is not specified.
         node_tests (1,) int64: number of node pairs tested.
 
+    Raises:
+        TypeError, ValueError: naming the argument.
+
     Example:
         >>> candidates, node_tests = pgccd.traverse.find_candidates(bodies, pgccd.broad.sweep(bodies))
     """

@@ -231,8 +231,13 @@ class Mesh:
     @classmethod
     def load_all(cls, path: str | PathLike[str], origin: Origin = (0.0, 0.0, 0.0), *, weld: bool = True) -> list[Mesh]:
         """One mesh per object of a file, with their names: each mesh of a scene file (glb, gltf, 3mf, ...) in the
-        scene's frame, each object and group of an obj file, or the only mesh of other files. Arguments and errors as
-        for `load`.
+        scene's frame, each object and group of an obj file, or the only mesh of other files.
+
+        Args:
+            path, origin, weld: as for `load`.
+
+        Raises:
+            FileNotFoundError, ValueError, ImportError: as for `load`; the object of the file is named.
 
         Example:
             >>> parts = pgccd.Mesh.load_all("rock.ply")
@@ -283,6 +288,9 @@ class MeshSet:
         meshes: one or more `Mesh`.
         device: of the tensors, as resolved by torch: "cuda" becomes "cuda:0".
 
+    Raises:
+        TypeError, ValueError: `meshes` is not a list of at least one mesh, or `device` is not a device.
+
     Attributes:
         meshes: the meshes.
         offsets: (meshes + 1, 5) int64: first rows of each mesh's vertices, faces, edges, node blocks and leaf points.
@@ -328,6 +336,9 @@ class MeshSet:
 
     def to(self, device: torch.device | str) -> MeshSet:
         """A copy on another device.
+
+        Raises:
+            TypeError, ValueError: it is not a device.
 
         Example:
             >>> meshes = meshes.to("cpu")

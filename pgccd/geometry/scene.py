@@ -306,6 +306,9 @@ class Scene:
     def to(self, device: torch.device | str) -> Scene:
         """A copy on another device, meshes included.
 
+        Raises:
+            TypeError, ValueError: it is not a device.
+
         Example:
             >>> scene = scene.to("cpu")
         """

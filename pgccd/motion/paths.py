@@ -83,6 +83,10 @@ class RigidMotion(MovingColumns):
             linear_velocity: (N, 3), length units per time unit.
             angular_velocity: (N, 3), world frame, radians per time unit.
             dt: duration of the step, time units.
+            path: "rigid", certified arcs, or "linear": as for the constructor.
+
+        Raises:
+            TypeError, ValueError: naming the argument, and the body with an invalid value.
 
         Example:
             >>> motion = pgccd.RigidMotion.from_velocity(x, q, v, omega, dt=1e-3)
@@ -116,6 +120,9 @@ class RigidMotion(MovingColumns):
         Args:
             position, orientation: (N, 3) and (N, 4), as for the constructor.
 
+        Raises:
+            TypeError, ValueError: naming the argument, and the body with an invalid value.
+
         Example:
             >>> touching = pgccd.detect(scene, pgccd.RigidMotion.at_rest(x, q), "any").pairs
         """
@@ -144,6 +151,10 @@ class RigidMotion(MovingColumns):
             position_t0, position_t1: (N, 3), as for the constructor.
             orientation_t0: (N, 4), at t0.
             rotation: (N, 3) rotation vector of the whole step, radians, world frame.
+            path: "rigid" or "linear": as for the constructor.
+
+        Raises:
+            TypeError, ValueError: naming the argument, and the body with an invalid value.
 
         Example:
             >>> again = pgccd.RigidMotion.from_rotation(m.position_t0, m.orientation_t0, m.position_t1, m.rotation)

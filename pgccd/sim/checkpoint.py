@@ -51,6 +51,8 @@ class Checkpoint(Header):
     """A run between two steps, with its robots.
 
     Attributes:
+        config, steps_made, steps_wanted, meshes: as for the run without its robots: the model's parameters, numbers of
+            steps, and the meshes' digest.
         state: of all robots, ids ascending, on the CPU.
     """
 
@@ -111,7 +113,7 @@ def require_checkpoint(run_folder: Path) -> StoredCheckpoint:
 
 
 def save_checkpoint(run_folder: str | Path, checkpoint: Checkpoint) -> Path:
-    """Writes a checkpoint of one process, and makes it the newest one.
+    """Writes a checkpoint of one process to `run_folder`, and makes it the newest one.
 
     Returns:
         Its folder.
@@ -135,7 +137,7 @@ def save_checkpoint(run_folder: str | Path, checkpoint: Checkpoint) -> Path:
 
 
 def load_checkpoint(run_folder: str | Path) -> Checkpoint:
-    """The newest checkpoint of a run, written by any number of ranks, with all robots on the CPU.
+    """The newest checkpoint of a run in `run_folder`, written by any number of ranks, with all robots on the CPU.
 
     Raises:
         FileNotFoundError: there is none.

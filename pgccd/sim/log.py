@@ -70,8 +70,8 @@ class StepLog:
 
 
 def read_log(folder: Path) -> list[dict[str, Any]]:
-    """The records of `steps.jsonl` by step, the first of each; without lines that are damaged or incomplete. Empty
-    without the file.
+    """The records of `steps.jsonl` in `folder` by step, the first of each; without lines that are damaged or
+    incomplete. Empty without the file.
     """
     path = folder / LOG_FILE
     records: dict[int, dict[str, Any]] = {}

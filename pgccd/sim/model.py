@@ -166,7 +166,7 @@ class RobotState:
         return {name: getattr(self, name) for name in _MOVING}
 
     def map(self, change: Callable[[Tensor], Tensor]) -> RobotState:
-        """The state with every column changed, for example by `Tensor.clone`."""
+        """The state with `change` applied to every column, for example `Tensor.clone`."""
         return RobotState(*map(change, self.columns.values()))
 
     def to(self, device: torch.device | str) -> RobotState:

@@ -25,6 +25,8 @@ def snapshot_of_state(model: Model, state: RobotState, caption: Sequence[str] = 
     """The robots between two steps, without collisions.
 
     Args:
+        model: the rules.
+        state: of all robots, on any device.
         caption: a title, then statistics.
 
     Example:

@@ -29,7 +29,12 @@ DEFAULT_TIMEOUT = 300.0
 
 
 def choose_device(device: str | torch.device, placement: Placement | None = None) -> torch.device:
-    """ "cuda" becomes the GPU with the local rank of this process."""
+    """The device of this rank: for "cuda" the GPU with the local rank of this process.
+
+    Args:
+        device: "cpu", "cuda" or a device of torch.
+        placement: of the ranks on machines; default: from the launcher's environment.
+    """
     chosen = torch.device(device)
     placement = placement or find_placement()
     if chosen.type == "cuda" and chosen.index is None and placement.size > 1:

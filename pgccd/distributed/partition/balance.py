@@ -67,7 +67,7 @@ class BalanceOptions:
                 raise ValueError(f"{name}: expected at least 1, got {getattr(self, name)}")
 
     def applies(self, steps_made: int, ranks: int) -> bool:
-        """Whether to decide again after `steps_made` steps."""
+        """Whether to decide again after `steps_made` steps, among `ranks` ranks."""
         return self.policy != "none" and ranks > 1 and steps_made > 0 and steps_made % self.every == 0
 
 

@@ -34,6 +34,7 @@ class Bisection(Partition):
     All functions of points and boxes are monotone along every axis: points are compared with planes exactly.
 
     Attributes:
+        lower, upper: (3,) corners of the space, in scene length units; what lies outside belongs to the nearest box.
         planes: (P - 1, 4) float64: axis, coordinate, and the children below and above: a later row, or rank r as
             -1 - r.
     """

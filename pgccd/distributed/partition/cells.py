@@ -77,6 +77,7 @@ class Cells(Partition):
     cell of a point in a box lies between the cells of its corners.
 
     Attributes:
+        lower, upper: (3,) corners of the space, in scene length units; what lies outside belongs to the nearest cell.
         subdomains: number along x, y and z; the product is the number of ranks.
         cells: number in each subdomain, along x, y and z.
         owner: (cell_count,) int64: the rank of each cell; x varies slowest, z fastest.
@@ -148,6 +149,9 @@ class Cells(Partition):
     def with_owner(self, owner: Tensor) -> Cells:
         """The same cells with other owners.
 
+        Args:
+            owner: (cell_count,) int64: the rank of each cell.
+
         Raises:
             ValueError: if `owner` does not name a rank for every cell.
         """
@@ -190,7 +194,7 @@ class Cells(Partition):
         return self.frame, numbers.to(self.owner.device)[self.owner], int(numbers[rank])
 
     def index(self, coordinates: Tensor) -> Tensor:
-        """(K,) int64 positions in the table of cells (K, 3)."""
+        """(K,) int64 positions in the table of cells, given by their `coordinates` (K, 3) int64."""
         x, y, z = coordinates.unbind(dim=-1)
         return (x * self.grid[1] + y) * self.grid[2] + z
 

@@ -388,8 +388,8 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
 
 
 def starting_share(comm: Comm, model: Model) -> RobotState:
-    """An equal share of the robots at the start, for `DistributedSimulation`, which migrates each to the owner of its
-    cell.
+    """An equal share of the robots of `model` at the start on each rank of `comm`, for `DistributedSimulation`, which
+    migrates each to the owner of its cell.
     """
     first, end = id_range(comm, model.config.robots)
     return model.start(torch.arange(first, end, device=model.device))
