@@ -20,7 +20,7 @@ from distributed.conftest import World
 from pgccd import ops, sim
 from pgccd.distributed import Alone, Cells, Comm
 from pgccd.distributed import World as SharedWorld
-from pgccd.distributed.detection.options import Options, PartEstimates
+from pgccd.distributed.detection.options import Options, PassEstimates
 from pgccd.distributed.detection.share import Share, search_share
 from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.motion import columns as motion_columns
@@ -78,7 +78,7 @@ def test_bad_poses_and_separations_are_named() -> None:
     bodies = pgccd.MovingBodies.of(model.scene(state.id), model.motion(state), wait=False)
 
     def search(options: Options) -> Share:
-        asked = decomposition, {"id": state.id}, bodies, lambda ghosts: ghosts, options, PartEstimates()
+        asked = decomposition, {"id": state.id}, bodies, lambda ghosts: ghosts, options, PassEstimates()
         return search_share(*asked, beside=lambda share: None)[0]
 
     with pytest.raises(ValueError, match="^min_separation: "):

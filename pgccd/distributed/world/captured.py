@@ -223,7 +223,7 @@ class _WorldGraph(TransactionGraph[_Committed]):
         self._decomposition, self._sizes = decomposition, sizes
 
     def _step(self) -> Tensor:
-        """(ranks, 4 + 21 * parts) int64: failure flag; numbers of own bodies, ghosts, and leaving bodies; counts."""
+        """(ranks, 4 + 21 * passes) int64: failure flag; numbers of own bodies, ghosts, and leaving bodies; counts."""
         world, columns = self._world, self.columns
         comm, id = world.comm, columns["id"]
         bodies = _bodies(columns, self._index)
@@ -240,14 +240,14 @@ class _WorldGraph(TransactionGraph[_Committed]):
             lambda ghosts: ghosts,
             world.options,
             world._rank.estimates,
-            beside=lambda share: share.parts[-1].first_contacts(),
+            beside=lambda share: share.passes[-1].first_contacts(),
             sizes=self._sizes,
             synchronises=False,
             discard=self._failed,
             slack=GRAPH_SLACK,
         )
-        counts = [part.counts() for part in share.parts]
-        overflow = [flag for of_part in counts for flag in overflow_flags(of_part)]
+        counts = [search_pass.counts() for search_pass in share.passes]
+        overflow = [flag for of_pass in counts for flag in overflow_flags(of_pass)]
         incomplete = torch.cat([self._failed, share.overflow, moving._first_faults()[-1:], *overflow]).sum().reshape(1)
         first, incomplete = _first_toi(share, comm, incomplete)
         new = _with_position(self._response(bodies, motion, first))

@@ -17,7 +17,7 @@ from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.broad import BroadPhase
 from pgccd.detection.checks import Initial
 from pgccd.detection.contacts import CollidingPairs, Contacts
-from pgccd.detection.parts import search_seconds
+from pgccd.detection.passes import search_seconds
 from pgccd.detection.trajectories import TrajectoryContacts
 from pgccd.distributed.comm.exchange import take_rows
 from pgccd.distributed.comm.interface import Alone, Comm

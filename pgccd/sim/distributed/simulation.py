@@ -12,7 +12,7 @@ from torch import Tensor
 
 from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.broad import BroadPhase
-from pgccd.detection.parts import pairs_of_rounds
+from pgccd.detection.passes import pairs_of_rounds
 from pgccd.distributed.comm.exchange import Columns, take_rows
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.detection.options import Options
@@ -232,7 +232,7 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
 
         def beside(share: Share) -> tuple[HeldExchange, Partners]:
             exchange = HeldExchange.start(share, self._rank.decomposition)
-            return exchange, Partners(self.model, own, share.held.ghosts, pairs_of_rounds(share.parts))
+            return exchange, Partners(self.model, own, share.held.ghosts, pairs_of_rounds(share.passes))
 
         share, (exchange, partners) = self._rank.search(own, bodies, self._complete, self.options, clock, beside)
         after: RobotState = planned
@@ -246,7 +246,7 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
                 counted = count_step(after, fraction, share.held.id, *share.first_contacts())
                 return torch.cat([counted, self._host_numbers(share)])
 
-        resolved = resolve_collisions(share.parts, len(share.held), partners, self._plan, conclude, clock, exchange)
+        resolved = resolve_collisions(share.passes, len(share.held), partners, self._plan, conclude, clock, exchange)
         reports = Reports.of(resolved.work, resolved.conclusions)
         resolved.learn()  # so that reading the contacts does not synchronise
         moved_cells = 0
@@ -332,8 +332,8 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
 
         def beside(share: Share) -> tuple[HeldExchange, Partners]:
             exchange = HeldExchange.start(share, decomposition, sizes.common, self.comm.peer_messages)
-            share.parts[-1].first_contacts()
-            return exchange, Partners(self.model, own, share.held.ghosts, pairs_of_rounds(share.parts))
+            share.passes[-1].first_contacts()
+            return exchange, Partners(self.model, own, share.held.ghosts, pairs_of_rounds(share.passes))
 
         share, (exchange, partners) = search_share(
             decomposition,
@@ -349,11 +349,11 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
             slack=GRAPH_SLACK,
         )
         failed = [share.overflow, bodies._first_faults()[-1:], exchange.overflow()]
-        return Searches(share.parts, partners, share.held.id, exchange, failed)
+        return Searches(share.passes, partners, share.held.id, exchange, failed)
 
     def _largest_message(self, sizes: HaloSizes) -> int:
         """The first toi of bodies that two ranks hold and one number, or what all ranks gather."""
-        gathered = GatheredCounts.width(parts=2) + COUNTED + REPORTED
+        gathered = GatheredCounts.width(passes=2) + COUNTED + REPORTED
         return max([2 + self._recent.to_capture, gathered, 1 + max(sizes.common)])
 
     def _begin(self, graph: StepGraph, index: int) -> None:
