@@ -41,7 +41,7 @@ class Options:
         return Query(report, self.min_separation, self.tolerance, self.nonzero_toi, self.initial)
 
     @property
-    def kept(self) -> tuple[float, float]:
+    def distances(self) -> tuple[float, float]:
         """min_separation and tolerance, as the operators take them."""
         return check_separation(self.min_separation), operator_tolerance(self.tolerance)
 

@@ -77,8 +77,8 @@ class Share:
 
     def places(self) -> Places:
         """The positions of the work. Synchronises."""
-        kept = self.options.kept
-        lower = [ops.swept_boxes(*each.bodies.swept_spheres, *kept)[0] for each in self.passes]
+        distances = self.options.distances
+        lower = [ops.swept_boxes(*each.bodies.swept_spheres, *distances)[0] for each in self.passes]
         of_pairs = [_corners(corner, _pairs_of(each)) for each, corner in zip(self.passes, lower, strict=True)]
         of_contacts = [_corners(corner, each.find().pairs) for each, corner in zip(self.passes, lower, strict=True)]
         return Places(self.passes[0].bodies.position_t0, torch.cat(of_pairs), torch.cat(of_contacts))
@@ -139,12 +139,12 @@ def search_share(
         ... )
         >>> share.contacts
     """
-    comm, device, kept = decomposition.comm, bodies.device, options.kept
+    comm, device, distances = decomposition.comm, bodies.device, options.distances
 
     def stage(name: str) -> AbstractContextManager[None]:
         return nullcontext() if clock is None else clock.stage(name)
 
-    halo = Halo(decomposition, own, bodies, kept, sizes, synchronises)
+    halo = Halo(decomposition, own, bodies, distances, sizes, synchronises)
     with stage("halo"):
         halo.find_boundary()
     side = SideStream(device, options.overlap and comm.size > 1)  # waits for the boundary
@@ -179,7 +179,7 @@ def search_share(
             ghost_vertices = _vertices_of_ghosts(vertices, held, bodies)
             ghosts = _ghosts(held, complete, ghost_vertices, bodies, halo.is_padded)
             near, near_count = ops.near_ghosts(
-                bodies.swept_spheres, halo.reach, ghosts.swept_spheres, *kept, frame, owner, rank
+                bodies.swept_spheres, halo.reach, ghosts.swept_spheres, *distances, frame, owner, rank
             )
             overflow, exact = halo.overflow, None
             if synchronises:
@@ -198,7 +198,7 @@ def search_share(
 
             def owned(pairs: Tensor) -> tuple[Tensor, Tensor]:
                 spheres = at_boundary.swept_spheres
-                return ops.owned_pairs(pairs, rows, held.id, spheres, *kept, halo.reach, frame, owner, rank)
+                return ops.owned_pairs(pairs, rows, held.id, spheres, *distances, halo.reach, frame, owner, rank)
 
             with_ghosts = find_pass(
                 at_boundary,
