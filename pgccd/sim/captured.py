@@ -1,5 +1,5 @@
 """One step of the model as a CUDA graph. It is committed if no rank exceeded a capacity, all collisions are resolved
-and the poses are valid; otherwise `pgccd.sim.replay` runs it launch by launch.
+and the poses are valid; otherwise `pgccd.sim.replay` runs it eagerly.
 """
 
 from collections.abc import Callable, Sequence

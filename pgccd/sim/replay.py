@@ -91,7 +91,7 @@ class StepMaker(ReplayedSteps[Step, CommittedStep, StepGraph]):
         """
         return self._advance(index, more)
 
-    def _launch(self, index: int) -> Step:
+    def _run_eagerly(self, index: int) -> Step:
         made = make_step(self._model, self._scene, self._state, index, self._broad_phase, self._plan)
         self._state = made.after
         return made

@@ -39,7 +39,7 @@ class StepPlan:
 
 @dataclass
 class Step:
-    """A step run launch by launch. Expensive results are computed on access.
+    """A step run eagerly. Expensive results are computed on access.
 
     Attributes:
         index: of the step, from 0.

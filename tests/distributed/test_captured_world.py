@@ -273,7 +273,7 @@ def test_columns_that_are_not_contiguous(device: torch.device, graph: bool) -> N
 
 
 def test_a_step_of_invalid_poses_is_an_error(device: torch.device) -> None:
-    """Detected by the graph; the step repeated launch by launch names the body."""
+    """Detected by the graph; the step repeated eagerly names the body."""
     with graphs_on(device):
         world = spread(Alone(), device, "none", "cells")
 

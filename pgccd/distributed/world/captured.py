@@ -92,8 +92,8 @@ class CapturedWorld(RankSteps[WorldStep, _Committed, "_WorldGraph"]):
 
     On GPUs (over NCCL, if there are several) a step is the replay of one CUDA graph per rank, with messages and both
     functions, and the host waits only for the record of the previous step. A step that exceeds a capacity changes
-    nothing, and is repeated launch by launch; so are the last step of `run` and steps in which bodies migrate.
-    Elsewhere all steps run launch by launch. The results are bitwise equal. In a step that will be repeated, or for
+    nothing, and is repeated eagerly; so are the last step of `run` and steps in which bodies migrate.
+    Elsewhere all steps run eagerly. The results are bitwise equal. In a step that will be repeated, or for
     which an error will be raised, contacts may be missing on any rank: `response` is then passed a first toi of 0 for
     every body of every rank.
 
@@ -164,7 +164,7 @@ class CapturedWorld(RankSteps[WorldStep, _Committed, "_WorldGraph"]):
         """Whether there is a graph of the next step."""
         return self._graph is not None
 
-    def _launch(self, index: int) -> WorldStep:
+    def _run_eagerly(self, index: int) -> WorldStep:
         world = self._world
         bodies = _bodies(world.columns, torch.full((1,), index, device=world.id.device))
         motion = self._motion(bodies)

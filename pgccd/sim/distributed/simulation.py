@@ -76,7 +76,7 @@ class CommittedRankStep:
 
 @dataclass
 class RankStep:
-    """One rank's part of a step run launch by launch.
+    """One rank's part of a step run eagerly.
 
     Attributes:
         index: of the step, from 0.
@@ -104,7 +104,7 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
     """The robots of a simulation, distributed over ranks; made by `create`, on all ranks together.
 
     With NCCL, consecutive steps are replays of one CUDA graph per rank, messages included: see `pgccd.sim.replay`.
-    Cells and robots change owners only in steps run launch by launch, so robots that leave their rank's cells migrate
+    Cells and robots change owners only in steps run eagerly, so robots that leave their rank's cells migrate
     later.
 
     Attributes:
@@ -223,7 +223,7 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
             self._notes[1] = 1
         return self._advance(index, more)
 
-    def _launch(self, index: int) -> RankStep:
+    def _run_eagerly(self, index: int) -> RankStep:
         clock = StageClock()
         with clock.stage("plan"):
             planned = self.model.plan(self._state, index)
