@@ -67,7 +67,7 @@ class ResolvedStep:
 
     resolution: Fractions
     work: Rows  #: (ranks, 6), see `GatheredCounts.work`
-    conclusions: Rows  #: (ranks, k): the values of `conclude` of each rank
+    summaries: Rows  #: (ranks, k): the values of `summarise` of each rank
     #: Updates the capacity estimates for the next step; deferred, so that the next step can be enqueued first.
     learn: Callable[[], None]
 
@@ -133,9 +133,9 @@ class OneRank:
         return values[None]
 
 
-#: Concludes a step, given the fractions (N,) float64 that the bodies move: returns (k,) int64 values for all ranks. A
-#: later call with other fractions replaces the first.
-Conclude = Callable[[Tensor], Tensor]
+#: Completes a step and summarises it, given the fractions (N,) float64 that the bodies move: returns (k,) int64 values
+#: for all ranks. A later call with other fractions replaces the first.
+Summarise = Callable[[Tensor], Tensor]
 
 
 def resolve_collisions(
@@ -143,7 +143,7 @@ def resolve_collisions(
     body_count: int,
     search: RoundSearch,
     plan: RoundPlan,
-    conclude: Conclude,
+    summarise: Summarise,
     clock: StageClock,
     exchange: Exchange | None = None,
     fixed: Tensor | None = None,
@@ -159,7 +159,7 @@ def resolve_collisions(
         body_count: number of bodies N.
         search: searches the rounds.
         plan: number of rounds enqueued at once, and their capacities.
-        conclude: see `Conclude`.
+        summarise: see `Summarise`.
         clock: records stage times.
         exchange: between ranks; default: a single rank.
         fixed: (N,) bool: bodies that move by their whole step, whatever they meet; default: none.
@@ -171,7 +171,7 @@ def resolve_collisions(
         search_pass.begin()
     while True:
         attempt = Attempt(passes, body_count, search, plan, exchange, clock, fixed, stoppers)
-        resolved = attempt.run(conclude)
+        resolved = attempt.run(summarise)
         if resolved is not None:
             return resolved
         # The pairs may have exceeded their capacity.
@@ -270,7 +270,7 @@ class Attempt:
         if self.stoppers is not None:
             self.stoppers.note(self._changed)
 
-    def run(self, conclude: Conclude) -> ResolvedStep | None:
+    def run(self, summarise: Summarise) -> ResolvedStep | None:
         """Runs all rounds; None, on all ranks, if a rank exceeded a capacity, which has then grown."""
         exchange, clock = self.exchange, self.clock
         with clock.stage("respond"):
@@ -290,7 +290,7 @@ class Attempt:
                     changes, counts = torch.cat([changes, one_change]), counts + one_count
             searched = SearchCounts([search_pass.counts() for search_pass in self.passes], counts)
             overflow = torch.cat(searched.overflow()).sum().reshape(1)
-            mine = torch.cat([changes, overflow, *searched.values(), conclude(self.fraction)])
+            mine = torch.cat([changes, overflow, *searched.values(), summarise(self.fraction)])
             with clock.stage("gather"):
                 of_rounds = HostCopy.start(torch.cat([changes[:0], *counts]))
                 numbers = HostCopy.start(exchange.gather(mine)).numpy()

@@ -39,7 +39,7 @@ class Searches:
 #: Enqueues the searches of a planned step, given (1,) int64 on the device, nonzero if their results will be discarded.
 Search = Callable[[RobotState, Tensor], Searches]
 #: From a step's searches and the state after it: (k,) int64 values to send to all ranks.
-Conclude = Callable[[Searches, RobotState], Tensor]
+Summarise = Callable[[Searches, RobotState], Tensor]
 
 
 @dataclass
@@ -51,7 +51,7 @@ class CommittedStep:
     seconds: float  #: on the device
     rank: int  #: this rank
     counts: GatheredCounts
-    conclusions: Rows  #: (ranks, 6 + k): from `count_step`, then from `conclude`
+    summaries: Rows  #: (ranks, 6 + k): from `count_step`, then from `summarise`
 
     @property
     def work(self) -> Rows:
@@ -70,7 +70,7 @@ class CommittedStep:
             stages = {"halo": 1e-9 * max(0, ended - own.narrow_ended)} | stages
         respond = max(0.0, self.seconds - sum(stages.values()))
         clock = StageClock.of(stages | {"respond": respond}, self.seconds)
-        return Tally.of(self.work, self.conclusions[:, :COUNTED]).record(self.index, self.rounds, clock)
+        return Tally.of(self.work, self.summaries[:, :COUNTED]).record(self.index, self.rounds, clock)
 
 
 class StepGraph(TransactionGraph[CommittedStep]):
@@ -85,7 +85,7 @@ class StepGraph(TransactionGraph[CommittedStep]):
         plan: capacities of rounds.
         rounds: number of rounds of collision resolution.
         usual_rounds: of these, how many every replay runs; see `Attempt.make_rounds_of_replay`.
-        conclude: values to exchange besides those of `count_step`; default: none.
+        summarise: values to exchange besides those of `count_step`; default: none.
         rows: number of rows for robots; those with negative ids are padding. Default: no padding.
     """
 
@@ -98,13 +98,13 @@ class StepGraph(TransactionGraph[CommittedStep]):
         plan: RoundPlan,
         rounds: int,
         usual_rounds: int = 0,
-        conclude: Conclude | None = None,
+        summarise: Summarise | None = None,
         rows: int | None = None,
     ) -> None:
         super().__init__(state.columns, index, _padding(state), rows)
         self._model, self._search, self._plan, self.rounds = model, search, plan, rounds
         self._usual_rounds = usual_rounds
-        self._conclude = conclude
+        self._summarise = summarise
         self._passes, self._rank = 1, 0
 
     @property
@@ -114,7 +114,7 @@ class StepGraph(TransactionGraph[CommittedStep]):
 
     def _step(self) -> Tensor:
         """plan, detect, resolve, commit, count. Returns the record, one row per rank: failure flag, changes of rounds,
-        `SearchCounts.values`, conclusions.
+        `SearchCounts.values`, summaries.
         """
         model, state = self._model, self.state
         planned = model.plan(state, self._index)
@@ -131,12 +131,12 @@ class StepGraph(TransactionGraph[CommittedStep]):
         fraction = attempt.fraction[: len(state)]
         plan = [getattr(planned, name) for name in PLANNED]
         ops.simulate_commit(list(state.columns.values()), plan, fraction, self._failed)
-        concluded = [count_step(state, fraction, searches.id, *first_contacts_of(searches.passes))]
-        if self._conclude is not None:
-            concluded.append(self._conclude(searches, state))
+        summary = [count_step(state, fraction, searches.id, *first_contacts_of(searches.passes))]
+        if self._summarise is not None:
+            summary.append(self._summarise(searches, state))
         self._index += 1 - self._failed
         self._passes, self._rank = len(searches.passes), exchange.rank
-        return torch.cat([outcome, exchange.gather(torch.cat([*counts.values(), *concluded]))], dim=1)
+        return torch.cat([outcome, exchange.gather(torch.cat([*counts.values(), *summary]))], dim=1)
 
     def _committed(self, index: int, record: NDArray[np.int64], seconds: float) -> CommittedStep:
         begin = 2 + self.rounds

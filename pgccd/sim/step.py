@@ -108,7 +108,7 @@ def make_step(
         search_pass = find_pass(bodies, FIRST_CONTACTS, broad_phase, estimate=plan.pairs, at_any_times=True)
     after = before
 
-    def conclude(fraction: Tensor) -> Tensor:
+    def summarise(fraction: Tensor) -> Tensor:
         nonlocal after
         with clock.stage("respond"):
             after = respond(before, fraction)
@@ -116,13 +116,13 @@ def make_step(
             return count_step(after, fraction, before.id, *search_pass.first_contacts())
 
     partners = Partners(model, before.moving_columns, None, pairs_of_rounds([search_pass]))
-    resolved = resolve_collisions([search_pass], scene.body_count, partners, plan.rounds, conclude, clock)
+    resolved = resolve_collisions([search_pass], scene.body_count, partners, plan.rounds, summarise, clock)
     bodies._raise_faults(faults.numpy().tolist())
     resolved.learn()
     clock.stop()
 
     def make_record() -> dict[str, Any]:
-        return Tally.of(resolved.work, resolved.conclusions).record(index, resolved.resolution.rounds, clock)
+        return Tally.of(resolved.work, resolved.summaries).record(index, resolved.resolution.rounds, clock)
 
     def find() -> Contacts:
         found = contacts_of_step([search_pass])

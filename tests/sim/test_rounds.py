@@ -111,18 +111,18 @@ class PlannedStep:
     ) -> ResolvedStep:
         partners = make_partners(self.model, self.state.moving_columns, None, self.pairs)
         passes, plan = [search_pass or self.search_pass()], plan or RoundPlan()
-        given = passes, len(self.state), partners, plan, self.conclude, StageClock()
+        given = passes, len(self.state), partners, plan, self.summarise, StageClock()
         resolved = resolve_collisions(*given, exchange)
         found, expected = resolved.resolution, self.expected.resolution
         assert (found.rounds, found.secondary_contacts) == (expected.rounds, expected.secondary_contacts)
         assert torch.equal(found.fraction, expected.fraction)
         ranks = exchange.ranks if exchange else 1
-        assert resolved.conclusions.tolist() == [self.conclude(expected.fraction).tolist()] * ranks
+        assert resolved.summaries.tolist() == [self.summarise(expected.fraction).tolist()] * ranks
         assert resolved.work[:, WORK.index("contacts")].tolist() == [len(self.expected.contacts)] * ranks
         return resolved
 
     @staticmethod
-    def conclude(fraction: Tensor) -> Tensor:
+    def summarise(fraction: Tensor) -> Tensor:
         return (fraction < 1.0).sum().reshape(1)
 
 
@@ -300,7 +300,7 @@ def test_a_round_is_few_operators_and_no_wait() -> None:
         search_pass.start()
         partners = Unread(step.model, step.state.moving_columns, None, step.pairs)
         partners._copies_of(len(step.pairs))
-        given = [search_pass], len(step.state), partners, plan, step.conclude, StageClock()
+        given = [search_pass], len(step.state), partners, plan, step.summarise, StageClock()
         with Calls() as watch:
             found = resolve_collisions(*given, exchange).resolution
         assert same(found, step.expected.resolution)

@@ -38,12 +38,12 @@ def test_stages_of_a_replayed_step_do_not_overlap() -> None:
     ):  # ghosts' pairs: 15 longer than own pairs
         for name, time in zip(names, times, strict=True):
             counts[1, number, COUNT_ROWS[name]] = 10**6 * time
-    conclusions = np.zeros((2, COUNTED), dtype=np.int64)
-    record = CommittedStep(0, 1, 0.1, 1, GatheredCounts(np.zeros(2, np.int64), counts), conclusions).record
+    summaries = np.zeros((2, COUNTED), dtype=np.int64)
+    record = CommittedStep(0, 1, 0.1, 1, GatheredCounts(np.zeros(2, np.int64), counts), summaries).record
     expected = {"broad": 0.01, "traverse": 0.03, "narrow": 0.02, "halo": 0.015, "respond": 0.025}
     assert record["stage_seconds"] == pytest.approx(expected)
     counts[1, 1, COUNT_ROWS["narrow_ended"]] = 55 * 10**6
-    record = CommittedStep(0, 1, 0.1, 1, GatheredCounts(np.zeros(2, np.int64), counts), conclusions).record
+    record = CommittedStep(0, 1, 0.1, 1, GatheredCounts(np.zeros(2, np.int64), counts), summaries).record
     assert record["stage_seconds"] == pytest.approx(expected | {"halo": 0.0, "respond": 0.04})
     alone = GatheredCounts(np.zeros(2, np.int64), counts[:, :1])
-    assert "halo" not in CommittedStep(0, 1, 0.1, 1, alone, conclusions).record["stage_seconds"]
+    assert "halo" not in CommittedStep(0, 1, 0.1, 1, alone, summaries).record["stage_seconds"]

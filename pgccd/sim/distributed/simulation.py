@@ -237,7 +237,7 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
         share, (exchange, partners) = self._rank.search(own, bodies, self._complete, self.options, clock, beside)
         after: RobotState = planned
 
-        def conclude(fraction: Tensor) -> Tensor:
+        def summarise(fraction: Tensor) -> Tensor:
             nonlocal after
             fraction = fraction[: len(planned)]
             with clock.stage("respond"):
@@ -246,8 +246,8 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
                 counted = count_step(after, fraction, share.held.id, *share.first_contacts())
                 return torch.cat([counted, self._host_numbers(share)])
 
-        resolved = resolve_collisions(share.passes, len(share.held), partners, self._plan, conclude, clock, exchange)
-        reports = Reports.of(resolved.work, resolved.conclusions)
+        resolved = resolve_collisions(share.passes, len(share.held), partners, self._plan, summarise, clock, exchange)
+        reports = Reports.of(resolved.work, resolved.summaries)
         resolved.learn()  # so that reading the contacts does not synchronise
         moved_cells = 0
         if self._rank.is_balance_due(index + 1, reports.loads):
@@ -301,14 +301,14 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
         def search(planned: RobotState, discard: Tensor) -> Searches:
             return self._search_padded(planned, discard, decomposition, sizes)
 
-        def conclude(searches: Searches, after: RobotState) -> Tensor:
+        def summarise(searches: Searches, after: RobotState) -> Tensor:
             """As in `Reports`: numbers of ghosts and of robots that arrived, whether to stop, and number in cells of
             other ranks.
             """
             ghosts = (searches.id[len(after) :] >= 0).sum()[None]
-            concluded = torch.cat([ghosts, self._notes, count_leaving(decomposition, after.position, after.id)])
+            summary = torch.cat([ghosts, self._notes, count_leaving(decomposition, after.position, after.id)])
             self._notes[:1].zero_()
-            return concluded
+            return summary
 
         return StepGraph(
             self.model,
@@ -318,7 +318,7 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
             self._plan,
             self._recent.to_capture,
             self._recent.usual,
-            conclude,
+            summarise,
             rows,
         )
 
@@ -371,7 +371,7 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
         made: CommittedStep | None = self._wait(replay, index)
         if made is None:
             return None
-        reports = Reports.of(made.work, made.conclusions)
+        reports = Reports.of(made.work, made.summaries)
         self._tally(reports)
         return CommittedRankStep(made, reports, bool(reports.stop.any()))
 
