@@ -10,7 +10,7 @@ from pgccd.detection import broad, narrow
 from pgccd.detection.capacity import BufferSizes, Capacity, CapacityError, sizes_of
 from pgccd.detection.contacts import CollidingPairs, Contacts
 from pgccd.detection.padded_contacts import PaddedCollidingPairs, PaddedContacts, checked_counts
-from pgccd.detection.pipeline import Options, detect
+from pgccd.detection.pipeline import DetectOptions, detect
 from pgccd.detection.query import Query
 from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
 from pgccd.motion.faults import Faults
@@ -87,7 +87,7 @@ class CapturedDetection(Generic[P]):
         min_separation: float = 0.0,
         *,
         capacity: Capacity | None = None,
-        **options: Unpack[Options],
+        **options: Unpack[DetectOptions],
     ) -> None: ...
     @overload
     def __init__(
@@ -98,7 +98,7 @@ class CapturedDetection(Generic[P]):
         min_separation: float = 0.0,
         *,
         capacity: Capacity | None = None,
-        **options: Unpack[Options],
+        **options: Unpack[DetectOptions],
     ) -> None: ...
     @overload
     def __init__(
@@ -109,7 +109,7 @@ class CapturedDetection(Generic[P]):
         min_separation: float = 0.0,
         *,
         capacity: Capacity | None = None,
-        **options: Unpack[Options],
+        **options: Unpack[DetectOptions],
     ) -> None: ...
     def __init__(
         self,
@@ -119,7 +119,7 @@ class CapturedDetection(Generic[P]):
         min_separation: float = 0.0,
         *,
         capacity: Capacity | None = None,
-        **options: Unpack[Options],
+        **options: Unpack[DetectOptions],
     ) -> None:
         if not isinstance(scene, Scene):
             raise TypeError(f"scene: expected a pgccd.Scene, got {arguments.describe(scene)}")

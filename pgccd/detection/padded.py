@@ -18,7 +18,7 @@ from pgccd.motion.faults import CHECK_NUMBERS
 
 
 @dataclass
-class Search:
+class PaddedSearch:
     """A step in progress."""
 
     bodies: MovingBodies
@@ -102,7 +102,7 @@ def search_padded(
     pairs: Tensor | None,
     pair_counts: Tensor | None = None,
     marks_invalid: bool = False,
-) -> Search:
+) -> PaddedSearch:
     """Starts a step.
 
     Args:
@@ -137,7 +137,7 @@ def search_padded(
         narrow.REPORTS[query.report],
         capacity.of_contacts,
     )
-    return Search(bodies, query, capacity, chosen or "given", tuple(rows), counts)  # type: ignore[arg-type]
+    return PaddedSearch(bodies, query, capacity, chosen or "given", tuple(rows), counts)  # type: ignore[arg-type]
 
 
 def search_rigid(
@@ -147,7 +147,7 @@ def search_rigid(
     broad_phase: broad.BroadPhase,
     pair_capacity: Sequence[int],
     marks_invalid: bool = False,
-) -> Search:
+) -> PaddedSearch:
     """A step of rigid bodies by one operator, which also checks the poses, unless their faults are known.
 
     Args:
@@ -155,7 +155,7 @@ def search_rigid(
         pair_capacity: of the PCS, see `ops.pairs_padded`. If `capacity` is EXACTLY and there are more pairs, no
             contacts are searched, and the overflow is counted.
         marks_invalid: whether to search the other bodies if a pose is invalid, unless faults are known: see
-            `Search.reach`.
+            `PaddedSearch.reach`.
     """
     faults = bodies._known_faults()
     of_scene = [] if faults is not None else bodies._checked_by_operator
@@ -181,7 +181,7 @@ def search_rigid(
         pair_capacity,
         capacity.of_contacts,
     )
-    return Search(bodies, query, capacity, chosen, tuple(rows), counts, reach)  # type: ignore[arg-type]
+    return PaddedSearch(bodies, query, capacity, chosen, tuple(rows), counts, reach)  # type: ignore[arg-type]
 
 
 def lower_first_toi(

@@ -26,7 +26,7 @@ class PaddedRows(PairColumns):
     broad_phase: str
     bodies: int
     _faults: Faults
-    # `Search.reach`.
+    # `PaddedSearch.reach`.
     _reach: Tensor | None = field(default=None, init=False, repr=False, compare=False)
 
     @property

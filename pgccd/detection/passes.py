@@ -14,7 +14,7 @@ from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.capacity import COUNT_ROWS, BufferSizes, Counts, sizes_of
 from pgccd.detection.contacts import CollidingPairs, Contacts, Stats
 from pgccd.detection.memory import CapacityEstimate
-from pgccd.detection.padded import Search
+from pgccd.detection.padded import PaddedSearch
 from pgccd.detection.pipeline import detect_moving, expected_capacity, start_search
 from pgccd.detection.query import Query
 from pgccd.detection.streaming import join_contacts
@@ -48,7 +48,7 @@ class SearchPass:
     #: (S, 2) int64 rows of `bodies`: all pairs that may collide if bodies are stopped or slowed down on their way,
     #: `pairs` among them. Rows of -1 may follow. Default: not found
     swept_pairs: Tensor | None = None
-    _search: Search | None = field(default=None, init=False)
+    _search: PaddedSearch | None = field(default=None, init=False)
     _counts: Counts | None = field(default=None, init=False)
     _scratch_bytes: int = field(default=0, init=False)
     _contacts: Contacts | CollidingPairs | None = field(default=None, init=False)
@@ -58,7 +58,7 @@ class SearchPass:
         # known.
         self._size = len(self.pairs) if self.capacity is None else self.bodies.scene.body_count
 
-    def start(self) -> Search:
+    def start(self) -> PaddedSearch:
         """Starts the search, unless it has been started. Does not synchronise."""
         if self._search is None:
             self._search = start_search(

@@ -158,7 +158,7 @@ def resolve_collisions(
         passes: of the whole step's pairs, searched for first contacts; the same number on all ranks.
         body_count: number of bodies N.
         search: searches the rounds.
-        plan: number of rounds enqueued at once, and their capacities.
+        plan: number of rounds enqueued without waiting, and their capacities.
         summarise: see `Summarise`.
         clock: records stage times.
         exchange: between ranks; default: a single rank.
@@ -277,7 +277,7 @@ class Attempt:
             changes = self.begin()
             # A single rank on the CPU can read the result of each round.
             at_sight = exchange.ranks == 1 and self._device.type == "cpu"
-            more = int(changes) if at_sight else self.plan.at_once
+            more = int(changes) if at_sight else self.plan.rounds_to_enqueue
         went_on: list[bool] = []  # for each round: whether a body had changed on any rank before it
         made: list[NDArray[np.int64]] = []  # counts of this rank, for each round
         secondary_contacts = np.zeros(exchange.ranks, dtype=np.int64)

@@ -169,7 +169,7 @@ def test_wherever_a_batch_ends() -> None:
     for rounds in range(step.rounds + 3):
         plan, exchange = plan_after(rounds), TwoAlike()
         step.resolve(plan, exchange)
-        assert plan.at_once == max(rounds, step.rounds)
+        assert plan.rounds_to_enqueue == max(rounds, step.rounds)
         assert exchange.waits == 1 + max(0, -(-(step.rounds - rounds) // 2))
 
 
@@ -177,7 +177,7 @@ def test_a_step_of_which_nothing_is_known() -> None:
     step = many_rounds()
     plan = RoundPlan()
     step.resolve(plan, TwoAlike())
-    assert plan.at_once == step.rounds
+    assert plan.rounds_to_enqueue == step.rounds
 
 
 def test_one_rank_on_the_cpu_makes_the_rounds_it_needs() -> None:
@@ -246,7 +246,7 @@ def test_no_robot_collides() -> None:
         exchange = TwoAlike()
         found = step.resolve(plan, exchange).resolution
         assert (found.rounds, found.secondary_contacts, exchange.waits) == (0, 0, 1)
-        assert bool((found.fraction == 1.0).all()) and plan.at_once == 0
+        assert bool((found.fraction == 1.0).all()) and plan.rounds_to_enqueue == 0
 
 
 def test_every_robot_collides() -> None:

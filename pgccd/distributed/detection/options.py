@@ -12,7 +12,7 @@ from pgccd.detection.query import Query
 
 
 @dataclass(frozen=True)
-class Options:
+class SearchOptions:
     """Options of `pgccd.detect`, and how to run it."""
 
     report: narrow.Report = "first"

@@ -21,7 +21,7 @@ from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.contacts import CollidingPairs, Contacts
 from pgccd.detection.passes import PASS_SLACK, SearchPass, contacts_of_step, find_pass, first_contacts_of
 from pgccd.distributed.comm.exchange import Columns
-from pgccd.distributed.detection.options import Options, PassEstimates
+from pgccd.distributed.detection.options import PassEstimates, SearchOptions
 from pgccd.distributed.halo.ghosts import Halo
 from pgccd.distributed.halo.held import Held
 from pgccd.distributed.halo.sizes import HaloSizes
@@ -47,7 +47,7 @@ class Share:
     held: Held
     passes: list[SearchPass]  #: being searched
     ghosts: MovingBodies | None  #: None on a single rank
-    options: Options
+    options: SearchOptions
     #: (1,) int64: nonzero if there were more bodies than the given sizes on this rank, and pairs may be missing.
     overflow: Tensor
     sizes: HaloSizes | None  #: exact numbers of bodies; None if nothing was to synchronise
@@ -97,7 +97,7 @@ def search_share(
     own: Columns,
     bodies: MovingBodies,
     complete: Complete,
-    options: Options,
+    options: SearchOptions,
     estimates: PassEstimates,
     *,
     beside: Callable[[Share], T],
@@ -134,8 +134,9 @@ def search_share(
         ValueError: if it synchronises: a pose is invalid.
 
     Example:
+        >>> options, estimates = SearchOptions(), PassEstimates()
         >>> share, _ = search_share(
-        ...     decomposition, own, bodies, lambda ghosts: ghosts, Options(), PassEstimates(), beside=lambda share: None
+        ...     decomposition, own, bodies, lambda ghosts: ghosts, options, estimates, beside=lambda share: None
         ... )
         >>> share.contacts
     """

@@ -15,7 +15,7 @@ from pgccd.detection.broad import BroadPhase
 from pgccd.detection.passes import pairs_of_rounds
 from pgccd.distributed.comm.exchange import Columns, take_rows
 from pgccd.distributed.comm.interface import Comm
-from pgccd.distributed.detection.options import Options
+from pgccd.distributed.detection.options import SearchOptions
 from pgccd.distributed.detection.share import Share, search_share
 from pgccd.distributed.halo.migrate import Census, count_leaving, id_range, migrate
 from pgccd.distributed.halo.sizes import HaloSizes
@@ -124,7 +124,7 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
         state: RobotState,
         expected: Census,
         balance: BalanceOptions,
-        options: Options,
+        options: SearchOptions,
         graph: bool,
     ) -> None:
         super().__init__(Rank(decomposition, balance), graph)
@@ -155,14 +155,14 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
             partition: the same on all ranks.
             state: of any share of the robots; each robot is on exactly one rank.
             balance: options of load balancing.
-            broad_phase, overlap: see `Options`.
+            broad_phase, overlap: see `SearchOptions`.
             graph: whether steps are replayed, the same on all ranks. Default: if messages are sent on a GPU's stream.
 
         Raises:
             RuntimeError: robots are missing or duplicated.
         """
         query = FIRST_CONTACTS
-        options = Options(
+        options = SearchOptions(
             query.report,
             nonzero_toi=query.nonzero_toi,
             initial=query.initial,
