@@ -199,7 +199,7 @@ def find_pass(
 
     def find_pairs() -> FoundPairs:
         if not bodies.checked:
-            bodies._raise_faults(bodies._first_faults().tolist())
+            bodies._raise_invalid(bodies._first_invalid_rows().tolist())
         chosen = broad.choose(bodies, broad_phase)
         found, count = select_pairs(broad.find_pairs_of_checked(bodies, separation, chosen, tolerance, **beyond))
         return found if count is None else found._replace(pairs=found.pairs[: int(count)])
@@ -209,7 +209,7 @@ def find_pass(
     if capacity is None:
         found = find_pairs()
         return SearchPass(query, bodies, found.pairs, rows=rows, swept_pairs=found.swept_pairs)
-    invalid = bodies._first_faults()[-1:]
+    invalid = bodies._first_invalid_rows()[-1:]
     if discard is not None:
         invalid = torch.maximum(invalid, discard)
     pairs, counts = broad.find_pairs_padded(bodies, separation, broad_phase, capacity, invalid, tolerance, **beyond)

@@ -139,6 +139,6 @@ def make_step_graph(
         given = None, discard, None, plan.pairs, GRAPH_SLACK
         search_pass = find_pass(bodies, FIRST_CONTACTS, broad_phase, *given, at_any_times=True)
         partners = Partners(model, planned.moving_columns, None, pairs_of_rounds([search_pass]))
-        return Searches([search_pass], partners, planned.id, OneRank(), [bodies._first_faults()[-1:]])
+        return Searches([search_pass], partners, planned.id, OneRank(), [bodies._first_invalid_rows()[-1:]])
 
     return StepGraph(model, state, index, search, plan.rounds, rounds, usual_rounds)

@@ -104,7 +104,7 @@ def make_step(
         motion = model.motion(before)
     with clock.stage("broad"):
         bodies = MovingBodies.of(scene, motion, wait=scene.device.type == "cpu")
-        faults = HostCopy.start(bodies._first_faults())
+        invalid_rows = HostCopy.start(bodies._first_invalid_rows())
         search_pass = find_pass(bodies, FIRST_CONTACTS, broad_phase, estimate=plan.pairs, at_any_times=True)
     after = before
 
@@ -117,7 +117,7 @@ def make_step(
 
     partners = Partners(model, before.moving_columns, None, pairs_of_rounds([search_pass]))
     resolved = resolve_collisions([search_pass], scene.body_count, partners, plan.rounds, summarise, clock)
-    bodies._raise_faults(faults.numpy().tolist())
+    bodies._raise_invalid(invalid_rows.numpy().tolist())
     resolved.learn()
     clock.stop()
 

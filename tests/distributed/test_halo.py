@@ -142,7 +142,7 @@ def validations(comm: Comm) -> tuple[int, int]:
     world = SharedWorld.create([mesh], (0.0,) * 3, (1.0,) * 3, position, id=mine, comm=comm)
     turn = torch.eye(4).double()[:1].repeat(len(world.id), 1)
     motion = pgccd.RigidMotion.from_velocity(world.position, turn, turn[:, :3], turn[:, :3], dt=0.1)
-    with mock.patch.object(motion_columns, "first_faults", wraps=motion_columns.first_faults) as checked:
+    with mock.patch.object(motion_columns, "first_invalid_rows", wraps=motion_columns.first_invalid_rows) as checked:
         world.step(motion)
     assert world.found is not None
     return checked.call_count, world.found.held.ghost_count

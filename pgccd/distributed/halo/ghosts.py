@@ -76,7 +76,7 @@ class Halo:
             frame, owner, rank = self._decomposition.subdomain
             self.reach, self._boundary, self._count = ops.boundary_bodies(centres, *distances, frame, owner, rank)
         if self._synchronises:
-            self._found = HostCopy.start(torch.cat([self._count, self._bodies._first_faults()]))
+            self._found = HostCopy.start(torch.cat([self._count, self._bodies._first_invalid_rows()]))
 
     def send(self) -> None:
         """Sends ghosts. With exact sizes this validates the bodies, agrees with other ranks, and synchronises."""
@@ -139,8 +139,8 @@ class Halo:
 
     def _check(self) -> int:
         """Validates the bodies, and returns the number of those at the boundary. Synchronises."""
-        count, *faults = self._found.numpy().tolist()
+        count, *invalid_rows = self._found.numpy().tolist()
         if not self._bodies.checked:
-            self._bodies._raise_faults(faults)
+            self._bodies._raise_invalid(invalid_rows)
             self._bodies.checked = True
         return count

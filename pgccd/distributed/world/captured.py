@@ -27,8 +27,8 @@ from pgccd.distributed.steps.rank import can_replay
 from pgccd.distributed.steps.replayed import RankSteps
 from pgccd.distributed.world.columns import columns_to_send, scene_of
 from pgccd.distributed.world.world import World
-from pgccd.motion.faults import LARGEST_COORDINATE
 from pgccd.motion.paths import RigidMotion
+from pgccd.motion.validation import LARGEST_COORDINATE
 from pgccd.runtime.replayed_steps import GRAPH_SLACK
 from pgccd.runtime.transaction import TransactionGraph
 
@@ -248,7 +248,9 @@ class _WorldGraph(TransactionGraph[_Committed]):
         )
         counts = [search_pass.counts() for search_pass in share.passes]
         overflow = [flag for of_pass in counts for flag in overflow_flags(of_pass)]
-        incomplete = torch.cat([self._failed, share.overflow, moving._first_faults()[-1:], *overflow]).sum().reshape(1)
+        incomplete = (
+            torch.cat([self._failed, share.overflow, moving._first_invalid_rows()[-1:], *overflow]).sum().reshape(1)
+        )
         first, incomplete = _first_toi(share, comm, incomplete)
         new = _with_position(self._response(bodies, motion, first))
         is_body = id >= 0

@@ -348,7 +348,7 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
             discard=discard,
             slack=GRAPH_SLACK,
         )
-        failed = [share.overflow, bodies._first_faults()[-1:], exchange.overflow()]
+        failed = [share.overflow, bodies._first_invalid_rows()[-1:], exchange.overflow()]
         return Searches(share.passes, partners, share.held.id, exchange, failed)
 
     def _largest_message(self, sizes: HaloSizes) -> int:
