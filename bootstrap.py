@@ -139,8 +139,10 @@ def install_cuda_compiler(torch_cuda: str, has_gpu: bool, is_forced: bool) -> No
 @functools.cache
 def index_is_reachable() -> bool:
     # pip instead of a socket, because it uses configured mirrors and proxies.
-    probe = ["--dry-run", "--quiet", "--ignore-installed", "--no-deps", "--timeout=5", "--retries=0", "wheel"]
-    return install("nothing, to see whether there is a package index", *probe)
+    probe = ["-qqq", "--dry-run", "--ignore-installed", "--no-deps", "--timeout=5", "--retries=0", "wheel"]
+    is_reachable = subprocess.run([*PIP_INSTALL, *probe], stdin=subprocess.DEVNULL).returncode == 0
+    say(f"the package index is {'' if is_reachable else 'not '}reachable")
+    return is_reachable
 
 
 def find_torch(python: Path | str) -> dict[str, Any] | None:
