@@ -216,3 +216,25 @@ def test_margins_are_shells_around_bodies(open_page: Callable[[viz.Page], Any]) 
     settled(tab)
     assert name_of(colour_at(tab, beside)) != "nothing"
     assert name_of(colour_at(tab, other)) == "nothing"  # it has none
+
+
+def test_slow_machines_leave_out_bodies_that_do_not_collide_and_say_so(open_page: Callable[[viz.Page], Any]) -> None:
+    count = 64
+    x = torch.zeros(count, 3).double()
+    x[:, 0] = 3.0 * torch.arange(count)
+    x[1, 0] = 2.0
+    q = torch.tensor([[1.0, 0, 0, 0]]).double().repeat(count, 1)
+    scene, end = pgccd.Scene([CUBE], [0] * count), x.clone()
+    end[1, 0] = 0.5
+    motion = pgccd.RigidMotion(x, q, end, q)
+    tab = open_page(viz.Page.of(scene, motion, pgccd.detect(scene, motion)))
+    assert "64 of 64 bodies" in tab.inner_text("#drawn") and tab.inner_text("#slow") == ""
+    tab.evaluate("{ let now = 0; performance.now = () => now += 300; }")
+    for _ in range(12):
+        settled(tab)
+    assert tab.inner_text("#drawn").split("zoom. ")[-1].startswith("2 of 64 bodies")
+    text = " ".join(tab.inner_text("#slow").split())
+    assert text == "Drawing is slow on this machine: 62 bodies that do not collide are left out."
+    places = motion.at(0.0)[0].numpy()
+    tab.evaluate("document.querySelector('section').style.left = '-400px'")
+    assert all(name_of(colour_at(tab, place)) != "nothing" for place in places[:2])
