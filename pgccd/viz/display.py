@@ -75,7 +75,8 @@ def show(
             notebook the page is displayed by the object returned; elsewhere it is written to a temporary file and
             opened in the browser, or, without a display, its path is written to standard error.
         fraction: body i moves on x_i(fraction_i t): a number or (N,) in [0, 1], such as `fraction` of
-            `pgccd.resolve`. A box on the page switches to whole paths, on which contacts are. Not in GLB files.
+            `pgccd.resolve`; not with a `Trajectory`. A box on the page switches to whole paths, on which contacts are.
+            Not in GLB files.
         title: of the page. Default: numbers of bodies and contacts.
 
     Returns:

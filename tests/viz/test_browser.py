@@ -13,6 +13,7 @@ import torch
 
 import pgccd
 from pgccd import viz
+from pgccd.viz import content
 from pgccd.viz.raster import placed
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
@@ -43,6 +44,7 @@ def open_page(browser: Any, tmp_path: Path) -> Iterator[Callable[[viz.Page], Any
     def opened(page: viz.Page) -> Any:
         tab = browser.new_page(viewport={"width": 1000, "height": 700})
         tabs.append(tab)
+        tab.add_init_script("performance.now = () => 0")  # however slow the machine, all bodies are drawn
         tab.on("pageerror", lambda error: problems.append(str(error)))
         tab.on("request", lambda asked: None if asked.url.startswith("file:") else problems.append(asked.url))
         tab.goto(page.save(tmp_path / "page.html").as_uri())
@@ -167,7 +169,9 @@ def test_controls_without_use_are_hidden(open_page: Callable[[viz.Page], Any]) -
     assert all(full.is_visible(f"#{name}") for name in names)
 
 
-def test_worlds_are_shown_one_by_one_or_together(open_page: Callable[[viz.Page], Any]) -> None:
+def test_worlds_are_shown_one_by_one_or_together(
+    open_page: Callable[[viz.Page], Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
     scene, motion, hits = meeting(world=[1, 1, 0])
     tab = open_page(viz.Page.of(scene, motion, hits))
     tab.evaluate("document.querySelector('section').style.left = '-400px'")
@@ -182,6 +186,11 @@ def test_worlds_are_shown_one_by_one_or_together(open_page: Callable[[viz.Page],
     assert drawn() == [False, False, True]
     tab.select_option("#world", "-1")
     assert drawn() == [True, True, True]
+    # Worlds that the list has no room for are added to it.
+    monkeypatch.setattr(content, "_MOST_CHOICES", 1)
+    tab = open_page(viz.Page.of(scene, motion, hits))
+    tab.evaluate("document.querySelector('section').style.left = '-400px'")
+    assert tab.input_value("#world") == "1" and drawn() == [True, True, False]
 
 
 @pytest.mark.parametrize("is_rigid", [True, False])

@@ -143,6 +143,7 @@ def test_bad_input_is_named(tmp_path: Path) -> None:
         ((scene, trajectory, hits), {}, ValueError, "hits: are of one step, the motion is a Trajectory"),
         ((scene, motion, pgccd.detect(scene, trajectory)), {}, ValueError, "hits: are of a trajectory, the motion is"),
         ((scene, motion), {"fraction": 2.0}, ValueError, "fraction: expected"),
+        ((scene, trajectory), {"fraction": 0.5}, ValueError, "fraction: expected a motion of one step, got a Traj"),
         ((scene, motion), {"title": 3}, TypeError, "title: expected a string, got 3"),
         ((scene, motion), {"path": 3}, TypeError, "path: expected a path, got 3"),
         ((scene, motion), {"path": tmp_path}, IsADirectoryError, "path: .* is a folder"),
