@@ -115,8 +115,12 @@ def test_bodies_are_drawn_where_the_motion_has_them(open_page: Callable[[viz.Pag
 def test_next_collision_shows_two_colours_the_point_and_what_it_ticked(open_page: Callable[[viz.Page], Any]) -> None:
     scene, motion, hits = meeting()
     assert hits.pairs.tolist() == [[0, 1]]
-    tab = open_page(viz.Page.of(scene, motion, hits, fraction=pgccd.resolve(scene, motion).fraction))
+    fraction = pgccd.resolve(scene, motion).fraction
+    tab = open_page(viz.Page.of(scene, motion, hits, fraction=fraction))
     tab.evaluate("document.querySelector('section').style.left = '-400px'")
+    set_time(tab, 1.0)
+    stopped = motion.at(fraction)[0].numpy()
+    assert name_of(colour_at(tab, stopped[1])) != "nothing" and np.abs(stopped[1] - stopped[0])[0] > 1.0
     tab.evaluate("element('next').click()")
     settled(tab)
     assert float(tab.input_value("#time")) == pytest.approx(float(hits.toi[0]), abs=1e-9)

@@ -156,7 +156,7 @@ def test_incomplete_results_and_pairs_without_times() -> None:
     rng = np.random.default_rng(3)
     scene = pgccd.Scene([ball(1)], [0] * 30)
     x, q = rows_of(rng, 30)
-    motion = pgccd.RigidMotion(x, q, x + 0.5, q)
+    motion = pgccd.RigidMotion(x, q, -x, q)
     whole = pgccd.detect(scene, motion)
     capacity = replace(sizes_of(pgccd.Capacity.of(30)), contacts=len(whole) - 2)
     padded = pgccd.detect(scene, motion, capacity=capacity)
@@ -165,7 +165,7 @@ def test_incomplete_results_and_pairs_without_times() -> None:
     assert "incomplete" in page.notes[0] and page.notes[0][:20] in page.html
     contacts = data_of(page)["contacts"]
     tois = decoded(contacts["toi"], np.float64, contacts["count"])
-    assert set(tois) <= set(whole.toi.tolist())
+    assert set(tois) <= set(whole.toi.tolist()) and tois.max() > 0.0
     pairs = viz.Page.of(scene, motion, pgccd.detect(scene, motion, "any"))
     states = decoded(data_of(pairs)["bodies"]["state"], np.uint8, 30)
     assert (states == 2).sum() == len(whole.pairs.unique()) > 0 and data_of(pairs)["contacts"]["count"] == 0
