@@ -40,9 +40,10 @@ except AttributeError as error:
 def test_type_checkers_see_what_is_imported_later() -> None:
     tree = ast.parse((ROOT / "pgccd" / "__init__.py").read_text())
     guarded = [node for node in tree.body if isinstance(node, ast.If) and ast.unparse(node.test) == "_TYPE_CHECKING"]
-    (imported,) = guarded[0].body
-    assert isinstance(imported, ast.ImportFrom)
-    names = {alias.name for alias in imported.names}
+    modules, shown = guarded[0].body
+    assert isinstance(modules, ast.ImportFrom) and ast.unparse(shown) == "from pgccd.viz import show"
+    assert pgccd.show is pgccd.viz.show
+    names = {alias.name for alias in modules.names}
     assert names == set(pgccd._LATER) and names <= set(pgccd.__all__) <= set(dir(pgccd))
     assert (ROOT / "pgccd" / "py.typed").is_file()
 
@@ -79,11 +80,11 @@ def test_mypy_outside_the_tree(tmp_path: Path) -> None:
     (tmp_path / "program.py").write_text(
         "import pgccd\n"
         "reveal_type(pgccd.Stats().contacts)\n"
-        "reveal_type(pgccd.files.load_motion('poses.npz'))\n"
+        "reveal_type(pgccd.show(*pgccd.files.load_scene('scene.json'), path='page.html'))\n"
         "reveal_type(pgccd.sim.ModelConfig().robots)\n"
     )
     environment = os.environ | {"MYPYPATH": str(ROOT)}
     command = [sys.executable, "-m", "mypy", "--cache-dir", str(tmp_path / "cache"), "program.py"]
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=280)
     revealed = [line.split('"')[1] for line in done.stdout.splitlines() if "Revealed" in line]
-    assert revealed == ["int", "pgccd.motion.paths.RigidMotion", "int"], done.stdout
+    assert revealed == ["int", "pathlib.Path", "int"], done.stdout
