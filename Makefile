@@ -20,13 +20,19 @@ SANITIZED = tests/kernels/test_rows.py tests/detection/test_search_in_parts.py t
 	tests/detection/test_device_share.py tests/sim tests/distributed/test_subdomain.py \
 	--ignore tests/sim/test_captured.py -m "cuda and not slow" -k "not graph and not compile and not one_wait"
 
-.PHONY: demo test sanitize lint bench bench-peers build clean
+.PHONY: demo test docs sanitize lint bench bench-peers build clean
 
 demo: $(EXTENSION)
 	$(VENV_PYTHON) -m pgccd simulate --robots 10000 --steps 20 --world random --out out/demo --overwrite
 
 test: $(EXTENSION)
 	$(VENV_PYTHON) -m pytest -q $(PARALLEL)
+
+# The site. It runs the examples; warnings are errors.
+docs: $(EXTENSION)
+	rm -rf docs/tutorials out/docs
+	$(VENV_PYTHON) -m sphinx -W --keep-going -q -b html -d build/docs docs out/docs
+	@echo "site: out/docs/index.html"
 
 sanitize: $(EXTENSION)
 	for tool in memcheck racecheck initcheck; do \
@@ -52,7 +58,7 @@ build: $(ENVIRONMENT)
 	@touch $(EXTENSION)
 
 clean:
-	rm -rf build out pgccd/*.so *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	rm -rf build out docs/tutorials pgccd/*.so *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -not -path './.venv/*' -prune -exec rm -rf {} +
 
 $(CUDA_SETTING):

@@ -9,7 +9,7 @@ import pytest
 from support.documents import ROOT
 
 PAGES = [ROOT / name for name in ("README.md", "CHANGELOG.md", "bench/README.md", "csrc/README.md")]
-PAGES += sorted((ROOT / "docs").glob("*.md"))
+PAGES += sorted((ROOT / "docs").rglob("*.md"))
 FOLDERS = ("bench", "csrc", "docs", "examples", "pgccd", "tests")
 
 
