@@ -71,7 +71,7 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--partition", choices=("cells", "bisection"), default="bisection", help="how space is cut")
     parser.add_argument("--axes", type=int, choices=(1, 2, 3), default=3)
     parser.add_argument("--no-overlap", action="store_true", help="wait for ghosts first")
-    parser.add_argument("--no-graph", action="store_true", help="launch by launch instead of replays of a CUDA graph")
+    parser.add_argument("--no-graph", action="store_true", help="eager steps instead of replays of a CUDA graph")
     parser.add_argument("--steps-before", type=int, default=20, help="steps made before the first is timed")
     parser.add_argument("--rounds", type=int, default=20, help="steps timed")
     parser.add_argument("--seed", type=int, default=0)

@@ -112,7 +112,7 @@ def test_stages_do_not_know_one_another() -> None:
 def test_constructors_send_no_messages_and_run_no_search() -> None:
     sending = {"exchange", "exchange_counts", "all_gather", "barrier", "gather_objects", "broadcast_object", "send"}
     sending |= {"together", "on_first", "require_agreement", "require_alike", "first_row", "migrate", "of_ranks"}
-    searching = {"detect", "detect_moving", "find_part", "start_search", "search_padded", "capture", "replay", "step"}
+    searching = {"detect", "detect_moving", "find_pass", "start_search", "search_padded", "capture", "replay", "step"}
     found, constructors = [], 0
     for path in python_files(PACKAGE):
         for node in ast.walk(ast.parse(path.read_text())):

@@ -5,7 +5,7 @@
 #include "bind/outputs.h"
 #include "core/candidate.h"
 #include "kernels/bounds/bounds.h"
-#include "kernels/bounds/faults.h"
+#include "kernels/bounds/validation.h"
 #include "kernels/broad/broad.h"
 #include "kernels/narrow/narrow.h"
 #include "kernels/traverse/traverse.h"
@@ -26,13 +26,13 @@ using ElementaryTensors = std::tuple<Tensor, Tensor, Tensor, Tensor>;
 
 template <class Session>
 struct DetectOps {
-  static Tensor first_faults(const TensorList& columns, const std::vector<int64_t>& checks,
-                             const std::vector<double>& limits) {
-    return find_faults(columns, checks, limits, {});
+  static Tensor first_invalid_rows(const TensorList& columns, const std::vector<int64_t>& checks,
+                                   const std::vector<double>& limits) {
+    return find_invalid_rows(columns, checks, limits, {});
   }
 
-  static Tensor find_faults(const TensorList& columns, const std::vector<int64_t>& checks,
-                            const std::vector<double>& limits, const SoundRadii& radii) {
+  static Tensor find_invalid_rows(const TensorList& columns, const std::vector<int64_t>& checks,
+                                  const std::vector<double>& limits, const SoundRadii& radii) {
     STD_TORCH_CHECK(!columns.empty() && checks.size() == columns.size() && limits.size() == columns.size(),
                     "columns: expected equal numbers of checks and limits, at least one");
     std::vector<RowColumn> views;
@@ -44,7 +44,7 @@ struct DetectOps {
       views.push_back({values, columns[k].size(0), width, static_cast<RowCheck>(checks[k]), limits[k]});
     }
     Tensor first = new_tensor<int64_t>(columns[0], {static_cast<int64_t>(columns.size()) + 1});
-    pgccd::first_faults(Session(columns[0]).context(), views, radii, data<int64_t>(first));
+    pgccd::first_invalid_rows(Session(columns[0]).context(), views, radii, data<int64_t>(first));
     return first;
   }
 
@@ -237,7 +237,7 @@ struct DetectOps {
 template <class Session>
 void register_detect_ops(Library& library) {
   using Ops = DetectOps<Session>;
-  library.impl("first_faults", PGCCD_BOX(Ops::first_faults));
+  library.impl("first_invalid_rows", PGCCD_BOX(Ops::first_invalid_rows));
   library.impl("rotations_between", PGCCD_BOX(Ops::rotations_between));
   library.impl("poses_at", PGCCD_BOX(Ops::poses_at));
   library.impl("moving_spheres", PGCCD_BOX(Ops::moving_spheres));

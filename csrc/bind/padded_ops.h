@@ -33,12 +33,12 @@ struct PaddedOps {
     return {rows, counts};
   }
 
-  // A whole step: checks of the poses and of more columns, unless their faults are given, then the pairs, then their
-  // contacts. With a buffer `reach`, the pairs of bodies with valid rows are found even if others are invalid.
+  // A whole step: checks of the poses and of more columns, unless known_invalid_rows are given, then the pairs, then
+  // their contacts. With a buffer `reach`, the pairs of bodies with valid rows are found even if others are invalid.
   static Found detect_rigid(const TensorList& mesh_set, const TensorList& bodies, bool linear_path,
                             const TensorList& spheres, const std::optional<Tensor>& group,
                             const std::optional<Tensor>& mask, const std::optional<Tensor>& world,
-                            const std::optional<Tensor>& is_static, const std::optional<Tensor>& known_faults,
+                            const std::optional<Tensor>& is_static, const std::optional<Tensor>& known_invalid_rows,
                             std::optional<Tensor> reach, const TensorList& more_columns,
                             const std::vector<int64_t>& checks, const std::vector<double>& limits,
                             double min_separation, double tolerance, bool nonzero_toi, bool tests_start, int64_t report,
@@ -54,7 +54,7 @@ struct PaddedOps {
     BroadBodies swept =
         broad_view(sphere[0], sphere[1], sphere[2], group, mask, world, is_static, {}, {min_separation, tolerance});
     STD_TORCH_CHECK(swept.count == count, "spheres: expected ", count, ", one a body, got ", swept.count);
-    STD_TORCH_CHECK(!known_faults || !reach, "reach: expected none where faults are given");
+    STD_TORCH_CHECK(!known_invalid_rows || !reach, "reach: expected none where invalid_rows are given");
     SoundRadii radii;
     if (reach) {
       rows<double>(*reach, "reach", {count});
@@ -66,11 +66,12 @@ struct PaddedOps {
       rows<double>(column, "more_columns", {count, kAnySize});
       columns.push_back(column);
     }
-    const Tensor faults =
-        known_faults ? *known_faults : DetectOps<Session>::find_faults(columns, checks, limits, radii);
-    const int64_t* const first_faults = rows<int64_t>(faults, "faults", {kAnySize});
-    STD_TORCH_CHECK(faults.size(0) > 0, "faults: expected a number at least");
-    if (!reach) swept.is_invalid = first_faults + faults.size(0) - 1;
+    const Tensor invalid_rows = known_invalid_rows
+                                    ? *known_invalid_rows
+                                    : DetectOps<Session>::find_invalid_rows(columns, checks, limits, radii);
+    const int64_t* const first = rows<int64_t>(invalid_rows, "invalid_rows", {kAnySize});
+    STD_TORCH_CHECK(invalid_rows.size(0) > 0, "invalid_rows: expected a number at least");
+    if (!reach) swept.is_invalid = first + invalid_rows.size(0) - 1;
     check_capacity(pair_capacity, 3);
     check_contact_capacity(capacity);
     const Tensor& like = bodies[1];
@@ -85,23 +86,23 @@ struct PaddedOps {
     } else if constexpr (Session::kHostKnowsCounts) {
       find_pairs_exactly(session.context(), swept, choice, pair_capacity[0], make_rows, data<int64_t>(counts));
     }
-    return contacts(view, pairs, counts, faults, {min_separation, tolerance, nonzero_toi}, tests_start, report,
+    return contacts(view, pairs, counts, invalid_rows, {min_separation, tolerance, nonzero_toi}, tests_start, report,
                     capacity);
   }
 
   static Found contacts_rigid(const TensorList& mesh_set, const TensorList& bodies, bool linear_path,
-                              const Tensor& pairs, const Tensor& pair_counts, const Tensor& faults,
+                              const Tensor& pairs, const Tensor& pair_counts, const Tensor& invalid_rows,
                               double min_separation, double tolerance, bool nonzero_toi, bool tests_start,
                               int64_t report, const std::vector<int64_t>& capacity) {
-    return contacts(rigid_view(mesh_set, bodies, linear_path), pairs, pair_counts, faults,
+    return contacts(rigid_view(mesh_set, bodies, linear_path), pairs, pair_counts, invalid_rows,
                     {min_separation, tolerance, nonzero_toi}, tests_start, report, capacity);
   }
 
   static Found contacts_deforming(const TensorList& mesh_set, const TensorList& bodies, const Tensor& pairs,
-                                  const Tensor& pair_counts, const Tensor& faults, double min_separation,
+                                  const Tensor& pair_counts, const Tensor& invalid_rows, double min_separation,
                                   double tolerance, bool nonzero_toi, bool tests_start, int64_t report,
                                   const std::vector<int64_t>& capacity) {
-    return contacts(deforming_view(mesh_set, bodies), pairs, pair_counts, faults,
+    return contacts(deforming_view(mesh_set, bodies), pairs, pair_counts, invalid_rows,
                     {min_separation, tolerance, nonzero_toi}, tests_start, report, capacity);
   }
 
@@ -174,8 +175,8 @@ struct PaddedOps {
   }
 
   template <class Bodies>
-  static Found contacts(const Bodies& bodies, const Tensor& pairs, const Tensor& pair_counts, const Tensor& faults,
-                        const NarrowSettings& settings, bool tests_start, int64_t report,
+  static Found contacts(const Bodies& bodies, const Tensor& pairs, const Tensor& pair_counts,
+                        const Tensor& invalid_rows, const NarrowSettings& settings, bool tests_start, int64_t report,
                         const std::vector<int64_t>& capacity) {
     check_contact_capacity(capacity);
     ContactSearch search = search_of(pairs, pair_counts, settings, tests_start, report_of(report));
@@ -191,9 +192,9 @@ struct PaddedOps {
       std::get<0>(found) = body_pairs;
       return columns;
     };
-    const int64_t* handed_on = rows<int64_t>(faults, "faults", {kAnySize});
+    const int64_t* handed_on = rows<int64_t>(invalid_rows, "invalid_rows", {kAnySize});
     const Session session(pairs);
-    Tensor counts = begin_counts(session, search, pairs, pair_counts, handed_on, faults.size(0));
+    Tensor counts = begin_counts(session, search, pairs, pair_counts, handed_on, invalid_rows.size(0));
     pgccd::find_contacts(session.context(), bodies, search, make_output);
     return std::tuple_cat(found, std::make_tuple(counts));
   }

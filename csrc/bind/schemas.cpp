@@ -22,7 +22,7 @@
 STABLE_TORCH_LIBRARY(pgccd, library) {
   // Checks of columns (., width): 0 magnitude of each number, 1 |length - 1| within the limit, 2 length, 3 each number
   // from 0 to the limit.
-  library.def("first_faults(Tensor[] columns, int[] checks, float[] limits) -> Tensor");
+  library.def("first_invalid_rows(Tensor[] columns, int[] checks, float[] limits) -> Tensor");
   library.def("rotations_between(Tensor orientation_t0, Tensor orientation_t1) -> Tensor");
   library.def(
       "refit(Tensor[] mesh_set, Tensor mesh_index, Tensor vertices_t0, Tensor vertices_t1, Tensor vertex_begin, "
@@ -63,30 +63,31 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
       "pairs_padded(Tensor position_t0, Tensor position_t1, Tensor radius, Tensor? group, Tensor? mask, Tensor? world, "
       "Tensor? is_static, Tensor? elsewhere, Tensor? is_invalid, float min_separation, float tolerance, "
       "int broad_phase, int[] capacity, bool at_any_times=False) -> (Tensor pairs, Tensor counts)");
-  // Columns of contacts, body pairs (., 2) i64 first; all counts, followed by the faults. capacity = [poses, tasks,
+  // Columns of contacts, body pairs (., 2) i64 first; all counts, followed by invalid_rows. capacity = [poses, tasks,
   // leaf_pairs, candidates, launches, open, contacts]; capacities and counts: see kernels/traverse/traverse.h and
   // kernels/narrow/narrow.h.
   library.def(
       "contacts_padded_rigid(Tensor[] mesh_set, Tensor[] bodies, bool linear_path, Tensor pairs, Tensor pair_counts, "
-      "Tensor faults, float min_separation, float tolerance, bool nonzero_toi, bool tests_start, int report, "
+      "Tensor invalid_rows, float min_separation, float tolerance, bool nonzero_toi, bool tests_start, int report, "
       "int[] capacity) -> (Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor counts)");
   library.def(
-      "contacts_padded_deforming(Tensor[] mesh_set, Tensor[] bodies, Tensor pairs, Tensor pair_counts, Tensor faults, "
-      "float min_separation, float tolerance, bool nonzero_toi, bool tests_start, int report, int[] capacity) -> "
-      "(Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor counts)");
+      "contacts_padded_deforming(Tensor[] mesh_set, Tensor[] bodies, Tensor pairs, Tensor pair_counts, "
+      "Tensor invalid_rows, float min_separation, float tolerance, bool nonzero_toi, bool tests_start, int report, "
+      "int[] capacity) -> (Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor counts)");
   // A whole step: pairs_padded of the spheres = [position_t0, position_t1, radius], then contacts_padded_rigid. If
   // `spheres` is empty, the bodies' own spheres are used; the bodies must then be centred, without margins. The poses,
-  // bodies[1, 2, 4, 5], and more_columns (N, width) f64 are checked as by first_faults, unless `faults` is given. If a
-  // row is invalid, no pairs are found; but with a buffer `reach` (N,) f64 those of all valid bodies: the spheres'
-  // radii are written to it, -inf for invalid bodies. If capacity.contacts is -1, all pairs found are returned, or none
-  // if there are more than pair_capacity.pairs.
+  // bodies[1, 2, 4, 5], and more_columns (N, width) f64 are checked as by first_invalid_rows, unless `invalid_rows` is
+  // given. If a row is invalid, no pairs are found; but with a buffer `reach` (N,) f64 those of all valid bodies: the
+  // spheres' radii are written to it, -inf for invalid bodies. If capacity.contacts is -1, all pairs found are
+  // returned, or none if there are more than pair_capacity.pairs.
   library.def(
       "detect_rigid(Tensor[] mesh_set, Tensor[] bodies, bool linear_path, Tensor[] spheres, Tensor? group, "
-      "Tensor? mask, Tensor? world, Tensor? is_static, Tensor? faults, Tensor(a!)? reach, Tensor[] more_columns, "
+      "Tensor? mask, Tensor? world, Tensor? is_static, Tensor? invalid_rows, Tensor(a!)? reach, Tensor[] more_columns, "
       "int[] checks, float[] limits, float min_separation, float tolerance, bool nonzero_toi, bool tests_start, "
       "int report, int broad_phase, int[] pair_capacity, int[] capacity) -> (Tensor, Tensor, Tensor, Tensor, Tensor, "
       "Tensor, Tensor, Tensor, Tensor counts)");
-  // Lowers first (N,) f64 at the owners (P, 2) i64 of each pair; capacity without contacts, counts without faults.
+  // Lowers first (N,) f64 at the owners (P, 2) i64 of each pair; capacity without contacts, counts without
+  // invalid_rows.
   library.def(
       "lower_first_toi_rigid(Tensor(a!) first, Tensor owners, Tensor[] mesh_set, Tensor[] bodies, bool linear_path, "
       "Tensor pairs, Tensor pair_counts, float min_separation, float tolerance, bool nonzero_toi, int[] capacity) -> "

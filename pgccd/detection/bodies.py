@@ -11,8 +11,8 @@ from pgccd import arguments, ops
 from pgccd.geometry.columns import mesh_expected
 from pgccd.geometry.mesh import MeshSet
 from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
-from pgccd.motion.faults import MARGIN, Check, Checked, Faults, first_faults, first_faulty_radius, joined
 from pgccd.motion.paths import PATHS, RigidMotion, VertexMotion
+from pgccd.motion.validation import MARGIN, Check, Checked, Validation, first_invalid_radius, first_invalid_rows, joined
 
 # The tensors of rigid bodies, and the columns of a motion among them.
 _RIGID = ("mesh_index", "position_t0", "position_t1", "radius", "orientation_t0", "rotation")
@@ -55,7 +55,7 @@ class MovingBodies:
         # Columns of the scene that are checked.
         self._of_scene: list[Checked] = []
         self.checked = False
-        self._found_faults: Tensor | None = None
+        self._found_invalid_rows: Tensor | None = None
 
     @classmethod
     def of(cls, scene: Scene, motion: RigidMotion | VertexMotion, *, wait: bool = True) -> MovingBodies:
@@ -82,9 +82,9 @@ class MovingBodies:
             arguments.choice(motion.path, "path", PATHS)
         of_scene = scene_columns(scene)
         checks = wait and (bool(of_scene) or not motion._is_trusted)
-        of_columns = motion._first_faults(columns, of_scene) if checks else None
+        of_columns = motion._first_invalid_rows(columns, of_scene) if checks else None
         if of_columns is not None and (first := of_columns.tolist())[-1]:
-            Faults([*motion._faults.columns, *of_scene]).raise_from(first)
+            Validation([*motion._validation.columns, *of_scene]).raise_from(first)
         tensors = (_deforming if isinstance(motion, VertexMotion) else _rigid)(scene, columns)
         if of_scene:
             tensors[0] = scene._sound_index()
@@ -95,9 +95,9 @@ class MovingBodies:
         bodies = cls(scene, motion, columns, tensors, spheres, linear_path)
         bodies.checked, bodies._of_scene = wait, of_scene
         if of_columns is not None:
-            bodies._found_faults = bodies._with_radius(of_columns)
+            bodies._found_invalid_rows = bodies._with_radius(of_columns)
             if bodies.deforming:
-                bodies._raise_faults(bodies._found_faults.tolist())
+                bodies._raise_invalid(bodies._found_invalid_rows.tolist())
         return bodies
 
     @classmethod
@@ -141,18 +141,18 @@ class MovingBodies:
         """`centre_t0`, `centre_t1` and `reach`."""
         return self.centre_t0, self.centre_t1, self.reach
 
-    def _first_faults(self) -> Tensor:
-        """(F,) int64: for each check the first faulty row, or a number past the last row; then 1 if any row is faulty,
-        else 0. Computed once and cached.
+    def _first_invalid_rows(self) -> Tensor:
+        """(F,) int64: for each check the first invalid row, or a number past the last row; then 1 if any row is
+        invalid, else 0. Computed once and cached.
         """
-        if self._found_faults is None:
-            self._found_faults = self._find_faults()
-        return self._found_faults
+        if self._found_invalid_rows is None:
+            self._found_invalid_rows = self._find_invalid_rows()
+        return self._found_invalid_rows
 
-    def _known_faults(self) -> Tensor | None:
-        """`_first_faults`, or None if an operator finds them from the columns of `checked_by_operator`."""
+    def _known_invalid_rows(self) -> Tensor | None:
+        """`_first_invalid_rows`, or None if an operator finds them from the columns of `checked_by_operator`."""
         has_verdict = self._motion is None or self._motion._has_verdict
-        return self._first_faults() if has_verdict else self._found_faults
+        return self._first_invalid_rows() if has_verdict else self._found_invalid_rows
 
     @property
     def _operator_checks(self) -> tuple[list[int], list[float]]:
@@ -174,28 +174,28 @@ class MovingBodies:
             return
         self._of_scene = scene_columns(self.scene)
         if (self._of_scene or not self._motion._is_trusted) and not torch.compiler.is_compiling():
-            self._raise_faults(self._find_faults().tolist())
+            self._raise_invalid(self._find_invalid_rows().tolist())
 
-    def _find_faults(self) -> Tensor:
+    def _find_invalid_rows(self) -> Tensor:
         if self._motion is None:
             return torch.zeros(1, dtype=torch.int64, device=self.device)
-        return self._with_radius(self._motion._first_faults(self._columns, self._of_scene))
+        return self._with_radius(self._motion._first_invalid_rows(self._columns, self._of_scene))
 
-    def _with_radius(self, faults: Tensor) -> Tensor:
-        return joined(faults, first_faulty_radius(self.radius)) if self.deforming else faults
+    def _with_radius(self, invalid_rows: Tensor) -> Tensor:
+        return joined(invalid_rows, first_invalid_radius(self.radius)) if self.deforming else invalid_rows
 
     @property
-    def _faults(self) -> Faults:
-        """The meaning of the values of `_first_faults`."""
+    def _validation(self) -> Validation:
+        """The meaning of the values of `_first_invalid_rows`."""
         if self._motion is None:
-            return Faults([])
-        columns = [*self._motion._faults.columns, *self._of_scene]
-        return Faults(columns, self.radius if self.deforming else None)
+            return Validation([])
+        columns = [*self._motion._validation.columns, *self._of_scene]
+        return Validation(columns, self.radius if self.deforming else None)
 
-    def _raise_faults(self, first: Sequence[int]) -> None:
-        """Raises ValueError if the values of `_first_faults` include a faulty row."""
+    def _raise_invalid(self, first: Sequence[int]) -> None:
+        """Raises ValueError if the values of `_first_invalid_rows` include an invalid row."""
         if first[-1]:
-            self._faults.raise_from(first)
+            self._validation.raise_from(first)
 
     @property
     def device(self) -> torch.device:
@@ -252,7 +252,7 @@ def check_scene(scene: Scene) -> None:
     """Raises ValueError if a value of a column of a scene is invalid. Synchronises with a GPU if one may be."""
     scene._check_columns()
     if columns := scene_columns(scene):
-        Faults(columns).raise_from(first_faults(columns).tolist())
+        Validation(columns).raise_from(first_invalid_rows(columns).tolist())
 
 
 def _swept_spheres(

@@ -294,10 +294,10 @@ def overflow_flags(counts: Tensor) -> list[Tensor]:
 
 
 def busy_nanoseconds(counts: NDArray[np.int64]) -> NDArray[np.int64]:
-    """(ranks,): nanoseconds in which at least one part was being searched; parts may overlap in time on a GPU.
+    """(ranks,): nanoseconds in which at least one pass was running; passes may overlap in time on a GPU.
 
     Args:
-        counts: (ranks, parts, 21): `Counts` of each part of a step.
+        counts: (ranks, passes, 21): `Counts` of each pass of a step.
     """
     began, ended = counts[:, :, COUNT_ROWS["traverse_began"]], counts[:, :, COUNT_ROWS["narrow_ended"]]
     order = np.argsort(began, axis=1)

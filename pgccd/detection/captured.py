@@ -10,11 +10,11 @@ from pgccd.detection import broad, narrow
 from pgccd.detection.capacity import BufferSizes, Capacity, CapacityError, sizes_of
 from pgccd.detection.contacts import CollidingPairs, Contacts
 from pgccd.detection.padded_contacts import PaddedCollidingPairs, PaddedContacts, checked_counts
-from pgccd.detection.pipeline import Options, detect
+from pgccd.detection.pipeline import DetectOptions, detect
 from pgccd.detection.query import Query
 from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
-from pgccd.motion.faults import Faults
 from pgccd.motion.paths import RigidMotion, VertexMotion
+from pgccd.motion.validation import Validation
 from pgccd.runtime.graph import Graph, capture
 from pgccd.runtime.host_copy import HostCopy
 
@@ -28,11 +28,11 @@ class _Record:
 
     counts: HostCopy  #: of `PaddedContacts.counts`
     capacity: BufferSizes
-    faults: Faults
+    validation: Validation
 
     def check(self) -> None:
         """Waits for the replay. Raises CapacityError or ValueError if its result is incomplete."""
-        checked_counts(self.counts.numpy().tolist(), self.capacity, self.faults, later=True)
+        checked_counts(self.counts.numpy().tolist(), self.capacity, self.validation, later=True)
 
 
 P = TypeVar("P", bound=PaddedContacts | PaddedCollidingPairs)
@@ -87,7 +87,7 @@ class CapturedDetection(Generic[P]):
         min_separation: float = 0.0,
         *,
         capacity: Capacity | None = None,
-        **options: Unpack[Options],
+        **options: Unpack[DetectOptions],
     ) -> None: ...
     @overload
     def __init__(
@@ -98,7 +98,7 @@ class CapturedDetection(Generic[P]):
         min_separation: float = 0.0,
         *,
         capacity: Capacity | None = None,
-        **options: Unpack[Options],
+        **options: Unpack[DetectOptions],
     ) -> None: ...
     @overload
     def __init__(
@@ -109,7 +109,7 @@ class CapturedDetection(Generic[P]):
         min_separation: float = 0.0,
         *,
         capacity: Capacity | None = None,
-        **options: Unpack[Options],
+        **options: Unpack[DetectOptions],
     ) -> None: ...
     def __init__(
         self,
@@ -119,7 +119,7 @@ class CapturedDetection(Generic[P]):
         min_separation: float = 0.0,
         *,
         capacity: Capacity | None = None,
-        **options: Unpack[Options],
+        **options: Unpack[DetectOptions],
     ) -> None:
         if not isinstance(scene, Scene):
             raise TypeError(f"scene: expected a pgccd.Scene, got {arguments.describe(scene)}")
@@ -165,7 +165,7 @@ class CapturedDetection(Generic[P]):
                     f"motion: {name}: expected {expected}, got {tuple(given[name].shape)} on {given[name].device}"
                 )
             column.copy_(given[name])
-        _mark_given_faults(self.motion, motion)
+        _mark_invalid_given(self.motion, motion)
 
     def replay(self) -> P:
         """Detects the collisions of the loaded motion. Waits for the call before the last, and synchronises to capture
@@ -231,7 +231,9 @@ class CapturedDetection(Generic[P]):
         found = self._run()
         self._call_of_found = self._calls
         with torch.cuda.device_of(found.counts):  # the event that is waited for belongs to the current device
-            self._records[self._calls] = _Record(HostCopy.start(found.counts), sizes_of(found.capacity), found._faults)
+            self._records[self._calls] = _Record(
+                HostCopy.start(found.counts), sizes_of(found.capacity), found._validation
+            )
         return found
 
     def _run(self) -> P:
@@ -299,15 +301,15 @@ def _copy_of(motion: RigidMotion | VertexMotion) -> RigidMotion | VertexMotion:
     if isinstance(motion, VertexMotion):
         return VertexMotion(**columns)
     copied = RigidMotion.from_rotation(**columns, path=motion.path)
-    _mark_given_faults(copied, motion)
+    _mark_invalid_given(copied, motion)
     return copied
 
 
-def _mark_given_faults(copied: RigidMotion | VertexMotion, motion: RigidMotion | VertexMotion) -> None:
+def _mark_invalid_given(copied: RigidMotion | VertexMotion, motion: RigidMotion | VertexMotion) -> None:
     """Makes rotations of a copy of a motion invalid from its first invalid end orientation on. These are not columns,
     and only the first one is known.
     """
-    first = motion._first_given_fault
+    first = motion._first_invalid_given
     if first is not None and isinstance(copied, RigidMotion):
         rows = torch.arange(copied.body_count, device=first.device)
         copied.rotation.masked_fill_((rows >= first)[:, None], torch.nan)

@@ -14,11 +14,11 @@ from pgccd.detection.capacity import COUNT_ROWS, COUNTS_OF_PAIRS, BufferSizes, C
 from pgccd.detection.contacts import COLUMNS, CollidingPairs, ContactRows, Contacts, contacts_of, take_earliest
 from pgccd.detection.padded_contacts import PaddedCollidingPairs, PaddedContacts, stats_of
 from pgccd.detection.query import Query
-from pgccd.motion.faults import CHECK_NUMBERS
+from pgccd.motion.validation import CHECK_NUMBERS
 
 
 @dataclass
-class Search:
+class PaddedSearch:
     """A step in progress."""
 
     bodies: MovingBodies
@@ -26,7 +26,7 @@ class Search:
     capacity: BufferSizes
     broad_phase: str
     rows: ContactRows  #: padded; the first column is body pairs (., 2)
-    counts: Tensor  #: (21 + F,) int64: `Counts`, then `MovingBodies._first_faults`
+    counts: Tensor  #: (21 + F,) int64: `Counts`, then `MovingBodies._first_invalid_rows`
     #: (N,) float64, negative for bodies whose pose is invalid: those of the others were searched. None: if a pose is
     #: invalid, nothing was.
     reach: Tensor | None = None
@@ -38,7 +38,7 @@ class Search:
             ValueError: the input is invalid.
         """
         values = self.counts.tolist()
-        self.bodies._raise_faults(values[len(COUNT_ROWS) :])
+        self.bodies._raise_invalid(values[len(COUNT_ROWS) :])
         return Counts.of(values[: len(COUNT_ROWS)])
 
     def contacts(self, counts: Counts) -> Contacts | CollidingPairs:
@@ -66,7 +66,7 @@ class Search:
             "capacity": self.capacity,
             "broad_phase": self.broad_phase,
             "bodies": self.bodies.scene.body_count,
-            "_faults": self.bodies._faults,
+            "_validation": self.bodies._validation,
         }
         if self.query.report == "any":
             pairs = PaddedCollidingPairs(pairs=rows[0], **of_search)
@@ -102,7 +102,7 @@ def search_padded(
     pairs: Tensor | None,
     pair_counts: Tensor | None = None,
     marks_invalid: bool = False,
-) -> Search:
+) -> PaddedSearch:
     """Starts a step.
 
     Args:
@@ -116,28 +116,28 @@ def search_padded(
     """
     if pairs is None and not bodies.deforming:
         return search_rigid(bodies, query, capacity, broad_phase, capacity.of_pairs, marks_invalid)
-    faults = bodies._first_faults()
+    invalid_rows = bodies._first_invalid_rows()
     if pairs is None:
         chosen = broad.choose(bodies, broad_phase)
         pairs, pair_counts = broad.find_pairs_padded(
-            bodies, query.min_separation, chosen, capacity, faults[-1:], query.tolerance
+            bodies, query.min_separation, chosen, capacity, invalid_rows[-1:], query.tolerance
         )
     else:
         chosen = None
         pair_counts = counts_of_given(pairs) if pair_counts is None else pair_counts
         if not bodies.checked:
-            pair_counts = pair_counts * (1 - faults[-1:])
+            pair_counts = pair_counts * (1 - invalid_rows[-1:])
     *rows, counts = ops.contacts_padded(
         bodies.operands,
         pairs,
         pair_counts,
-        faults,
+        invalid_rows,
         *query.settings,
         query.tests_start,
         narrow.REPORTS[query.report],
         capacity.of_contacts,
     )
-    return Search(bodies, query, capacity, chosen or "given", tuple(rows), counts)  # type: ignore[arg-type]
+    return PaddedSearch(bodies, query, capacity, chosen or "given", tuple(rows), counts)  # type: ignore[arg-type]
 
 
 def search_rigid(
@@ -147,21 +147,21 @@ def search_rigid(
     broad_phase: broad.BroadPhase,
     pair_capacity: Sequence[int],
     marks_invalid: bool = False,
-) -> Search:
-    """A step of rigid bodies by one operator, which also checks the poses, unless their faults are known.
+) -> PaddedSearch:
+    """A step of rigid bodies by one operator, which also checks the poses, unless that has been done.
 
     Args:
         bodies, query, capacity, broad_phase: as for `search_padded`.
         pair_capacity: of the PCS, see `ops.pairs_padded`. If `capacity` is EXACTLY and there are more pairs, no
             contacts are searched, and the overflow is counted.
-        marks_invalid: whether to search the other bodies if a pose is invalid, unless faults are known: see
-            `Search.reach`.
+        marks_invalid: whether to search the other bodies if a pose is invalid, unless the poses have been checked: see
+            `PaddedSearch.reach`.
     """
-    faults = bodies._known_faults()
-    of_scene = [] if faults is not None else bodies._checked_by_operator
+    invalid_rows = bodies._known_invalid_rows()
+    of_scene = [] if invalid_rows is not None else bodies._checked_by_operator
     more = [column.values.to(torch.float64)[:, None] for column in of_scene]
     checks, limits = bodies._operator_checks
-    reach = torch.empty_like(bodies.reach) if marks_invalid and faults is None else None
+    reach = torch.empty_like(bodies.reach) if marks_invalid and invalid_rows is None else None
     chosen = broad.choose(bodies, broad_phase)
     *rows, counts = ops.detect_rigid(
         bodies.mesh_set,
@@ -169,7 +169,7 @@ def search_rigid(
         bodies.linear_path,
         [] if bodies.reach is bodies.radius else [bodies.centre_t0, bodies.centre_t1, bodies.reach],
         *broad.filters(bodies),
-        faults,
+        invalid_rows,
         reach,
         more,
         [*checks, *(CHECK_NUMBERS[column.check.kind] for column in of_scene)],
@@ -181,7 +181,7 @@ def search_rigid(
         pair_capacity,
         capacity.of_contacts,
     )
-    return Search(bodies, query, capacity, chosen, tuple(rows), counts, reach)  # type: ignore[arg-type]
+    return PaddedSearch(bodies, query, capacity, chosen, tuple(rows), counts, reach)  # type: ignore[arg-type]
 
 
 def lower_first_toi(

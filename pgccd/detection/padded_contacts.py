@@ -12,7 +12,7 @@ from torch import Tensor
 from pgccd.detection.capacity import COUNT_ROWS, BufferSizes, Capacity, CapacityError, Counts, overflow_flags, sizes_of
 from pgccd.detection.contacts import CollidingPairs, ContactColumns, Contacts, PairColumns, Stats, WithoutTimes
 from pgccd.detection.grouping import By, any_contact
-from pgccd.motion.faults import Faults
+from pgccd.motion.validation import Validation
 
 
 @dataclass(eq=False, kw_only=True, repr=False)
@@ -25,8 +25,8 @@ class PaddedRows(PairColumns):
     capacity: Capacity
     broad_phase: str
     bodies: int
-    _faults: Faults
-    # `Search.reach`.
+    _validation: Validation
+    # `PaddedSearch.reach`.
     _reach: Tensor | None = field(default=None, init=False, repr=False, compare=False)
 
     @property
@@ -57,7 +57,7 @@ class PaddedRows(PairColumns):
     def _trimmed(self) -> dict[str, Any]:
         """The columns without padding, and stats. Synchronises."""
         capacity = sizes_of(self.capacity)
-        counts = checked_counts(self.counts.tolist(), capacity, self._faults)
+        counts = checked_counts(self.counts.tolist(), capacity, self._validation)
         count = min(counts.contacts, len(self.pairs))  # "earliest" has one row
         columns = {name: column[:count] for name, column in self.columns.items()}
         waits = int(self.counts.is_cuda)
@@ -141,14 +141,14 @@ class PaddedCollidingPairs(WithoutTimes, PaddedRows):
         return colliding
 
 
-def checked_counts(values: Sequence[int], capacity: BufferSizes, faults: Faults, later: bool = False) -> Counts:
-    """The counts of a padded step, from the values of `PaddedContacts.counts`; faults, later: see `Faults.raise_from`.
+def checked_counts(values: Sequence[int], capacity: BufferSizes, validation: Validation, later: bool = False) -> Counts:
+    """The counts of a padded step, from the values of `PaddedContacts.counts`; later: see `Validation.raise_from`.
 
     Raises:
         CapacityError: a capacity was exceeded.
         ValueError: the input is invalid.
     """
-    faults.raise_from(values[len(COUNT_ROWS) :], later)
+    validation.raise_from(values[len(COUNT_ROWS) :], later)
     counts = Counts.of(values[: len(COUNT_ROWS)])
     if counts.overflow:
         raise CapacityError(capacity, counts.needed(capacity))

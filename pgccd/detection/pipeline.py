@@ -13,7 +13,7 @@ from pgccd.detection.capacity import EXACTLY, BufferSizes, Capacity, sizes_of
 from pgccd.detection.checks import Initial, check_pairs, warn_of_only_body
 from pgccd.detection.contacts import CollidingPairs, Contacts
 from pgccd.detection.memory import CapacityEstimate, estimate_of, memory_limit, pairs_a_chunk
-from pgccd.detection.padded import Search, search_padded, search_rigid
+from pgccd.detection.padded import PaddedSearch, search_padded, search_rigid
 from pgccd.detection.padded_contacts import PaddedCollidingPairs, PaddedContacts
 from pgccd.detection.query import Query
 from pgccd.detection.streaming import stream
@@ -27,7 +27,7 @@ from pgccd.runtime.attempts import TooSmall, until_it_fits
 _ATTEMPTS = 6
 
 
-class Options(TypedDict, total=False):
+class DetectOptions(TypedDict, total=False):
     """Options of `detect`."""
 
     tolerance: float | None
@@ -48,7 +48,7 @@ def detect(
     *,
     pairs: Tensor | None = None,
     capacity: None = None,
-    **options: Unpack[Options],
+    **options: Unpack[DetectOptions],
 ) -> Contacts: ...
 @overload
 def detect(
@@ -59,7 +59,7 @@ def detect(
     *,
     pairs: Tensor | None = None,
     capacity: None = None,
-    **options: Unpack[Options],
+    **options: Unpack[DetectOptions],
 ) -> CollidingPairs: ...
 @overload
 def detect(
@@ -70,7 +70,7 @@ def detect(
     *,
     pairs: Tensor | None = None,
     capacity: None = None,
-    **options: Unpack[Options],
+    **options: Unpack[DetectOptions],
 ) -> Contacts | CollidingPairs: ...
 @overload
 def detect(
@@ -81,7 +81,7 @@ def detect(
     *,
     pairs: Tensor | None = None,
     capacity: Capacity,
-    **options: Unpack[Options],
+    **options: Unpack[DetectOptions],
 ) -> PaddedContacts: ...
 @overload
 def detect(
@@ -92,7 +92,7 @@ def detect(
     *,
     pairs: Tensor | None = None,
     capacity: Capacity,
-    **options: Unpack[Options],
+    **options: Unpack[DetectOptions],
 ) -> PaddedCollidingPairs: ...
 @overload
 def detect(
@@ -103,7 +103,7 @@ def detect(
     *,
     pairs: Tensor | None = None,
     capacity: Capacity,
-    **options: Unpack[Options],
+    **options: Unpack[DetectOptions],
 ) -> PaddedContacts | PaddedCollidingPairs: ...
 @overload
 def detect(
@@ -111,7 +111,7 @@ def detect(
     motion: Trajectory,
     report: narrow.ContactReport = "first",
     min_separation: float = 0.0,
-    **options: Unpack[Options],
+    **options: Unpack[DetectOptions],
 ) -> TrajectoryContacts: ...
 @overload
 def detect(
@@ -119,7 +119,7 @@ def detect(
     motion: Trajectory,
     report: Literal["any"],
     min_separation: float = 0.0,
-    **options: Unpack[Options],
+    **options: Unpack[DetectOptions],
 ) -> CollidingPairs: ...
 @overload
 def detect(
@@ -127,7 +127,7 @@ def detect(
     motion: Trajectory,
     report: narrow.Report,
     min_separation: float = 0.0,
-    **options: Unpack[Options],
+    **options: Unpack[DetectOptions],
 ) -> TrajectoryContacts | CollidingPairs: ...
 def detect(
     scene: Scene,
@@ -208,7 +208,7 @@ def detect(
             if value is not None:
                 raise ValueError(f"{name}: cannot be given with a Trajectory, whose segments are found in one call")
 
-        options: Options = {"tolerance": tolerance, "nonzero_toi": nonzero_toi, "initial": initial}
+        options: DetectOptions = {"tolerance": tolerance, "nonzero_toi": nonzero_toi, "initial": initial}
         options |= {"broad_phase": broad_phase, "memory_budget": memory_budget}
         return detect_trajectory(scene, motion, query, partial(detect, min_separation=min_separation, **options))
     on_cpu = scene.device.type == "cpu"
@@ -266,8 +266,8 @@ def start_search(
     pair_counts: Tensor | None = None,
     capacity: BufferSizes | None = None,
     estimate: CapacityEstimate | None = None,
-) -> Search:
-    """Starts `detect_moving` without synchronising; `Search.contacts` completes it.
+) -> PaddedSearch:
+    """Starts `detect_moving` without synchronising; `PaddedSearch.contacts` completes it.
 
     Args:
         bodies, query, pairs: as for `detect_moving`.

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from pgccd import arguments
 from pgccd.arguments import real_rows
-from pgccd.motion.faults import Checked, Faults, columns_checked, first_faults, joined
+from pgccd.motion.validation import Checked, Validation, columns_checked, first_invalid_rows, joined
 
 _Self = TypeVar("_Self", bound="MovingColumns")
 
@@ -22,15 +22,15 @@ class MovingColumns:
     _row = "body"
     #: `checks` and `limits` of these columns, for `ops.detect_rigid`.
     _checks: tuple[list[int], list[float]] = ([], [])
-    # Arguments that are not stored as a column, and their faults.
+    # Arguments that are not stored as a column, and their `first_invalid_rows`.
     _given: Mapping[str, Tensor] = {}
-    _given_faults: Tensor | None = None
+    _given_invalid_rows: Tensor | None = None
     # For a column, the argument that it is computed from.
     _sources: Mapping[str, str] = {}
     #: Whether the columns come from a validated motion and are not checked again.
     _is_trusted: bool = False
-    # Cached `_first_faults` of such columns.
-    _no_faults: Tensor | None = None
+    # Cached `_first_invalid_rows` of such columns.
+    _no_invalid_rows: Tensor | None = None
     # Columns whose types and shapes have been checked.
     _sound: Mapping[str, Tensor] = {}
 
@@ -61,9 +61,9 @@ class MovingColumns:
             self._sound = given
         return columns
 
-    def _first_faults(self, columns: Mapping[str, Tensor] | None = None, more: Sequence[Checked] = ()) -> Tensor:
-        """(F + 1,) int64 on the motion's device: the first faulty row of each argument, or the number of rows; then 1
-        if any row is faulty, else 0. Computed at each call.
+    def _first_invalid_rows(self, columns: Mapping[str, Tensor] | None = None, more: Sequence[Checked] = ()) -> Tensor:
+        """(F + 1,) int64 on the motion's device: the first invalid row of each argument, or the number of rows; then 1
+        if any row is invalid, else 0. Computed at each call.
 
         Args:
             columns: as returned by `columns()`. Default: the current ones.
@@ -71,52 +71,52 @@ class MovingColumns:
         """
         if not self._is_trusted:
             columns = self.columns() if columns is None else columns
-            return joined(self._given_faults, first_faults([*self._checked(columns), *more]))
+            return joined(self._given_invalid_rows, first_invalid_rows([*self._checked(columns), *more]))
         if more:
-            return first_faults(more)
-        if self._no_faults is None:
-            self._no_faults = torch.zeros(1, dtype=torch.int64, device=self.device)
-        return self._no_faults
+            return first_invalid_rows(more)
+        if self._no_invalid_rows is None:
+            self._no_invalid_rows = torch.zeros(1, dtype=torch.int64, device=self.device)
+        return self._no_invalid_rows
 
     @property
-    def _faults(self) -> Faults:
-        """The meaning of the values of `_first_faults`."""
+    def _validation(self) -> Validation:
+        """The meaning of the values of `_first_invalid_rows`."""
         if self._is_trusted:
-            return Faults([])
+            return Validation([])
         columns = {name: getattr(self, name) for name in self._names}
-        return Faults([*self._checked(self._given), *self._checked(columns)])
+        return Validation([*self._checked(self._given), *self._checked(columns)])
 
     def _checked(self, columns: Mapping[str, Tensor]) -> list[Checked]:
         return columns_checked(columns, self._row, self._sources)
 
     @property
     def _has_verdict(self) -> bool:
-        """Whether `_first_faults` is known, or includes faults that are not in the columns."""
-        return self._is_trusted or self._given_faults is not None
+        """Whether `_first_invalid_rows` is known, or includes arguments that are not columns."""
+        return self._is_trusted or self._given_invalid_rows is not None
 
     @property
-    def _first_given_fault(self) -> Tensor | None:
-        """(1,) int64 on the device: the first row that is faulty in an argument not stored as a column, or the number
+    def _first_invalid_given(self) -> Tensor | None:
+        """(1,) int64 on the device: the first row that is invalid in an argument not stored as a column, or the number
         of rows; None if all were valid.
         """
-        return None if self._given_faults is None else self._given_faults[:-1].min().reshape(1)
+        return None if self._given_invalid_rows is None else self._given_invalid_rows[:-1].min().reshape(1)
 
     def check(self) -> None:
         """Raises ValueError naming the first row with a number that is not finite or too large, or a quaternion that is
         not unit.
         """
-        self._raise_faults(self._first_faults().tolist())
+        self._raise_invalid(self._first_invalid_rows().tolist())
 
-    def _raise_faults(self, first: Sequence[int]) -> None:
-        """Raises ValueError if the values of `_first_faults` include a faulty row."""
+    def _raise_invalid(self, first: Sequence[int]) -> None:
+        """Raises ValueError if the values of `_first_invalid_rows` include an invalid row."""
         if first[-1]:
-            self._faults.raise_from(first)
+            self._validation.raise_from(first)
 
     def _check_given(self) -> None:
         """Raises ValueError if an argument that is not stored as a column was invalid. May synchronise with a GPU."""
-        if self._given_faults is not None:
+        if self._given_invalid_rows is not None:
             self.check()
-            self._given, self._given_faults = {}, None
+            self._given, self._given_invalid_rows = {}, None
 
     def to(self: _Self, device: torch.device | str) -> _Self:
         """A copy on another device.
@@ -126,7 +126,7 @@ class MovingColumns:
         """
         device = arguments.device(device)
         moved = copy.copy(self)
-        for name in (*self._names, "_given_faults", "_no_faults"):
+        for name in (*self._names, "_given_invalid_rows", "_no_invalid_rows"):
             column = getattr(self, name)
             if column is not None:
                 setattr(moved, name, column.to(device))
@@ -145,13 +145,13 @@ class MovingColumns:
         given = given or {}
         if self.device.type != "cpu" or torch.compiler.is_compiling():
             if given:
-                self._given, self._given_faults = given, first_faults(self._checked(given))
+                self._given, self._given_invalid_rows = given, first_invalid_rows(self._checked(given))
             return
         columns = self._checked({**given, **self.columns()})
-        first = first_faults(columns).tolist()
+        first = first_invalid_rows(columns).tolist()
         if not first[-1]:
             return
         if origins:
             of_origins = columns_checked(origins, self._row)
-            Faults(of_origins).raise_from(first_faults(of_origins).tolist())
-        Faults(columns).raise_from(first)
+            Validation(of_origins).raise_from(first_invalid_rows(of_origins).tolist())
+        Validation(columns).raise_from(first)

@@ -12,8 +12,8 @@ from torch import Tensor
 from pgccd import arguments, ops
 from pgccd.arguments import real_rows
 from pgccd.motion.columns import MovingColumns
-from pgccd.motion.faults import checks_of
 from pgccd.motion.times import broadcast_times, fractions_of
+from pgccd.motion.validation import checks_of
 
 PathKind = Literal["rigid", "linear"]
 PATHS = get_args(PathKind)
@@ -259,7 +259,7 @@ class RigidMotion(MovingColumns):
             >>> part = motion[:10]
         """
         picked = arguments.rows(rows, "rows", self.body_count)
-        self._check_given()  # its faults refer to rows of the whole motion
+        self._check_given()  # an error names a row of the whole motion
         part = copy.copy(self)
         for name in self._names:
             setattr(part, name, getattr(self, name)[picked].contiguous())

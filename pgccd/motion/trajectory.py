@@ -4,8 +4,8 @@ import torch
 from torch import Tensor
 
 from pgccd import arguments
-from pgccd.motion.faults import columns_checked, first_faults
 from pgccd.motion.paths import PATHS, PathKind, RigidMotion, VertexMotion
+from pgccd.motion.validation import columns_checked, first_invalid_rows
 
 
 class Trajectory:
@@ -55,10 +55,10 @@ class Trajectory:
             columns["orientation"] = self.orientation[waypoints]
         count = self.position.shape[1]
         checked = columns_checked({name: column.flatten(0, 1) for name, column in columns.items()}, row)
-        for column, fault in zip(checked, first_faults(checked).tolist(), strict=False):
-            if fault < len(column.values):
-                column.row = f"waypoint {waypoints.start + fault // count}, {row}"
-                raise ValueError(column.problem(fault, fault % count))
+        for column, invalid in zip(checked, first_invalid_rows(checked).tolist(), strict=False):
+            if invalid < len(column.values):
+                column.row = f"waypoint {waypoints.start + invalid // count}, {row}"
+                raise ValueError(column.problem(invalid, invalid % count))
 
     @property
     def device(self) -> torch.device:

@@ -9,7 +9,7 @@ from pgccd.ops.detection import (
     contacts_padded,
     detect_rigid,
     edge_edge,
-    first_faults,
+    first_invalid_rows,
     lower_first_toi_rigid,
     meeting_pairs,
     moving_spheres,

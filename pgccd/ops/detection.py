@@ -14,9 +14,9 @@ _Elementary = tuple[Tensor, Tensor, Tensor, Tensor]
 
 
 @operator
-def first_faults(columns: Sequence[Tensor], checks: Sequence[int], limits: Sequence[float]) -> Tensor:
-    """(n + 1,): first faulty row of each column (rows, width), or its number of rows; then 1 if any row is faulty, else
-    0.
+def first_invalid_rows(columns: Sequence[Tensor], checks: Sequence[int], limits: Sequence[float]) -> Tensor:
+    """(n + 1,): first invalid row of each column (rows, width), or its number of rows; then 1 if any row is invalid,
+    else 0.
 
     Checks: 0, magnitude of each number <= limit; 1, |length of the row - 1| <= limit; 2, length of the row <= limit;
     3, each number from 0 to the limit.
@@ -160,7 +160,7 @@ def contacts_padded(
     bodies: Bodies,
     pairs: Tensor,
     pair_counts: Tensor,
-    faults: Tensor,
+    invalid_rows: Tensor,
     min_separation: float,
     tolerance: float,
     nonzero_toi: bool,
@@ -168,10 +168,10 @@ def contacts_padded(
     report: int,
     capacity: Sequence[int],
 ) -> tuple[Tensor, ...]:
-    """Padded contact rows, body pairs in the first column; and all counts (21,) followed by the faults. Does not
+    """Padded contact rows, body pairs in the first column; and all counts (21,) followed by invalid_rows. Does not
     synchronise.
     """
-    return _found(pairs, faults.shape[0], capacity)
+    return _found(pairs, invalid_rows.shape[0], capacity)
 
 
 @operator
@@ -184,7 +184,7 @@ def detect_rigid(
     mask: Tensor | None,
     world: Tensor | None,
     is_static: Tensor | None,
-    faults: Tensor | None,
+    invalid_rows: Tensor | None,
     reach: Tensor | None,
     more_columns: Sequence[Tensor],
     checks: Sequence[int],
@@ -199,12 +199,12 @@ def detect_rigid(
     capacity: Sequence[int],
 ) -> tuple[Tensor, ...]:
     """`pairs_padded` for the spheres [position_t0, position_t1, radius], then `contacts_padded` for the pairs found. If
-    `spheres` is empty, the bodies' own spheres are used. faults: as from `first_faults`, or None to check the bodies'
-    poses and more_columns (N, width); checks and limits of these, in the order position_t0, position_t1, orientation,
-    rotation, more_columns. If a row is invalid there are no pairs; but with a buffer reach (N,) float64 those of all
-    valid bodies: the spheres' radii are written to it, -inf for invalid bodies.
+    `spheres` is empty, the bodies' own spheres are used. invalid_rows: as from `first_invalid_rows`, or None to check
+    the bodies' poses and more_columns (N, width); checks and limits of these, in the order position_t0, position_t1,
+    orientation, rotation, more_columns. If a row is invalid there are no pairs; but with a buffer reach (N,) float64
+    those of all valid bodies: the spheres' radii are written to it, -inf for invalid bodies.
     """
-    return _found(bodies[1], 5 + len(more_columns) if faults is None else faults.shape[0], capacity)
+    return _found(bodies[1], 5 + len(more_columns) if invalid_rows is None else invalid_rows.shape[0], capacity)
 
 
 @operator
@@ -251,6 +251,6 @@ def _contact_rows(like: Tensor, count: int | torch.SymInt) -> ContactRows:
     return pair, kind, features, status, float64(like, count), *(float64(like, count, width) for width in (2, 3, 3))  # type: ignore[return-value]
 
 
-def _found(like: Tensor, fault_count: int, capacity: Sequence[int]) -> tuple[Tensor, ...]:
+def _found(like: Tensor, invalid_row_count: int, capacity: Sequence[int]) -> tuple[Tensor, ...]:
     count = capacity[-1] if capacity[-1] >= 0 else unknown_count()  # -1: as many rows as found
-    return int64(like, count, 2), *_contact_rows(like, count)[1:], int64(like, 21 + fault_count)
+    return int64(like, count, 2), *_contact_rows(like, count)[1:], int64(like, 21 + invalid_row_count)

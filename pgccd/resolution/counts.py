@@ -20,34 +20,34 @@ class SearchCounts:
     """The counts of a rank's searches in a step, on the device.
 
     Args:
-        of_parts: (21,) int64 of each part of the whole step: `pgccd.detection.capacity.Counts`.
+        of_passes: (21,) int64 of each pass of the whole step: `pgccd.detection.capacity.Counts`.
         of_rounds: the same of each round of collision resolution.
     """
 
-    def __init__(self, of_parts: Sequence[Tensor], of_rounds: Sequence[Tensor]) -> None:
-        self._of_parts = of_parts
-        self._in_rounds = torch.stack([torch.zeros_like(of_parts[0]), *of_rounds]).sum(dim=0)
+    def __init__(self, of_passes: Sequence[Tensor], of_rounds: Sequence[Tensor]) -> None:
+        self._of_passes = of_passes
+        self._in_rounds = torch.stack([torch.zeros_like(of_passes[0]), *of_rounds]).sum(dim=0)
 
     def overflow(self) -> list[Tensor]:
         """Flags (1,) int64: if any is nonzero, a capacity was exceeded."""
-        return [flag for counts in (*self._of_parts, self._in_rounds) for flag in overflow_flags(counts)]
+        return [flag for counts in (*self._of_passes, self._in_rounds) for flag in overflow_flags(counts)]
 
     def values(self) -> list[Tensor]:
         """What all ranks gather for `GatheredCounts`."""
         row = COUNT_ROWS["contacts"]
-        return [self._in_rounds[row : row + 1], *self._of_parts]
+        return [self._in_rounds[row : row + 1], *self._of_passes]
 
 
 class GatheredCounts(NamedTuple):
     """The `SearchCounts` of all ranks. Of rounds, only the contacts: the size does not depend on their number."""
 
     secondary_contacts: NDArray[np.int64]  #: (ranks,)
-    of_parts: NDArray[np.int64]  #: (ranks, parts, 21)
+    of_passes: NDArray[np.int64]  #: (ranks, passes, 21)
 
     @staticmethod
-    def width(parts: int) -> int:
+    def width(passes: int) -> int:
         """Number of values of each rank."""
-        return 1 + parts * len(COUNT_ROWS)
+        return 1 + passes * len(COUNT_ROWS)
 
     @classmethod
     def of(cls, gathered: Rows) -> GatheredCounts:
@@ -59,5 +59,5 @@ class GatheredCounts(NamedTuple):
         """(ranks, 6): pairs, contacts, contacts of rounds, candidates and unresolved contacts of the whole step, and
         nanoseconds of its traversal and narrow phase."""
         names = ("pairs_written", "contacts", "candidates", "unresolved")
-        pcs, contacts, *rest = (self.of_parts[:, :, COUNT_ROWS[name]].sum(axis=1) for name in names)
-        return np.stack([pcs, contacts, self.secondary_contacts, *rest, busy_nanoseconds(self.of_parts)], axis=1)
+        pcs, contacts, *rest = (self.of_passes[:, :, COUNT_ROWS[name]].sum(axis=1) for name in names)
+        return np.stack([pcs, contacts, self.secondary_contacts, *rest, busy_nanoseconds(self.of_passes)], axis=1)

@@ -17,7 +17,7 @@ from pgccd.detection.checks import Initial, warn_of_only_body
 from pgccd.detection.contacts import Contacts
 from pgccd.detection.memory import CapacityEstimate
 from pgccd.detection.padded import search_padded
-from pgccd.detection.parts import Part, find_part
+from pgccd.detection.passes import SearchPass, find_pass
 from pgccd.detection.pipeline import detect_moving
 from pgccd.detection.query import Query
 from pgccd.geometry.columns import bool_column
@@ -161,12 +161,12 @@ class _Step:
     def resolve(self, motion: M) -> Resolution[M]:
         bodies, scene, query = self.bodies, self.bodies.scene, self.query
         plan = _Plan.of(scene)
-        first_faults = bodies._first_faults()
-        faults = HostCopy.start(first_faults)
-        part = find_part(bodies, query, self.broad_phase, estimate=plan.pairs)
+        first_invalid_rows = bodies._first_invalid_rows()
+        invalid_rows = HostCopy.start(first_invalid_rows)
+        search_pass = find_pass(bodies, query, self.broad_phase, estimate=plan.pairs)
         stoppers, search = self._search(motion, may_wait=True)
         resolved = resolve_collisions(
-            [part],
+            [search_pass],
             scene.body_count,
             search,
             plan.rounds,
@@ -175,9 +175,9 @@ class _Step:
             fixed=self.fixed,
             stoppers=stoppers,
         )
-        bodies._raise_faults(faults.numpy().tolist())
+        bodies._raise_invalid(invalid_rows.numpy().tolist())
         resolved.learn()
-        fraction, contacts = resolved.resolution.fraction, part.find()
+        fraction, contacts = resolved.resolution.fraction, search_pass.find()
         assert isinstance(contacts, Contacts)
         touching = contacts.pairs[contacts.toi == 0.0]
         made = cast(M, shortened(scene, motion, fraction))
@@ -191,26 +191,26 @@ class _Step:
 
     def resolve_padded(self, motion: M, capacity: BufferSizes, rounds: int) -> PaddedResolution[M]:
         bodies, scene, query = self.bodies, self.bodies.scene, self.query
-        faults = bodies._first_faults()
+        invalid_rows = bodies._first_invalid_rows()
         chosen = broad.choose(bodies, self.broad_phase)
         pairs, counts = broad.find_pairs_padded(
-            bodies, query.min_separation, chosen, capacity, faults[-1:], query.tolerance
+            bodies, query.min_separation, chosen, capacity, invalid_rows[-1:], query.tolerance
         )
-        part = Part(query, bodies, pairs, counts, capacity=capacity)
-        part.start()
+        search_pass = SearchPass(query, bodies, pairs, counts, capacity=capacity)
+        search_pass.start()
         stoppers, search = self._search(motion, may_wait=False)
         plan = RoundPlan.of(capacity)
-        attempt = Attempt([part], scene.body_count, search, plan, OneRank(), StageClock(), self.fixed, stoppers)
+        attempt = Attempt([search_pass], scene.body_count, search, plan, OneRank(), StageClock(), self.fixed, stoppers)
         first_change = attempt.begin()
         more_changes, of_rounds = attempt.make_rounds(rounds)
         changes = torch.cat([first_change, more_changes])
         moving = MovingBodies.of(scene, shortened(scene, motion, attempt.fraction), wait=False)
         check = search_padded(moving, self._any, capacity, chosen, None)
-        of_searches = torch.stack([part.counts(), *of_rounds, check.counts[: len(COUNT_ROWS)]])
-        failures = [*overflow_flags(of_searches.sum(dim=0)), faults[-1:], check.counts[-1:], changes[-1:]]
+        of_searches = torch.stack([search_pass.counts(), *of_rounds, check.counts[: len(COUNT_ROWS)]])
+        failures = [*overflow_flags(of_searches.sum(dim=0)), invalid_rows[-1:], check.counts[-1:], changes[-1:]]
         incomplete = (torch.cat(failures) != 0).any().reshape(1)
         fraction = attempt.fraction.masked_fill(incomplete, 0.0)
-        found, toi = part.first_contacts()
+        found, toi = search_pass.first_contacts()
         made, meeting = cast(M, shortened(scene, motion, fraction)), check.rows[0]
         rest = _are_both(at_rest(scene, made), meeting)
         touching = union_of_pairs(
@@ -225,17 +225,17 @@ class _Step:
             rounds=(changes != 0).long().cumprod(0).sum().reshape(1),
             incomplete=incomplete,
             _counts=of_searches,
-            _first_faults=faults,
+            _first_invalid_rows=invalid_rows,
             _changes=changes[-1:],
             _capacity=capacity,
-            _faults=bodies._faults,
+            _validation=bodies._validation,
         )
 
     def _search(self, motion: RigidMotion | VertexMotion, may_wait: bool) -> tuple[Stoppers, ShortenedSearch]:
         bodies, scene = self.bodies, self.bodies.scene
         stoppers = Stoppers(scene.body_count, scene.device)
         search = ShortenedSearch(
-            scene, motion, self.query, self.broad_phase, bodies._first_faults()[-1:], stoppers, may_wait
+            scene, motion, self.query, self.broad_phase, bodies._first_invalid_rows()[-1:], stoppers, may_wait
         )
         return stoppers, search
 

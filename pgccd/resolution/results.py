@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from pgccd.detection.capacity import BufferSizes, CapacityError, Counts
-from pgccd.motion.faults import Faults
 from pgccd.motion.paths import RigidMotion, VertexMotion
+from pgccd.motion.validation import Validation
 
 M = TypeVar("M", bound=RigidMotion | VertexMotion)
 
@@ -69,13 +69,13 @@ class PaddedResolution(Generic[M]):
     unresolved: Tensor
     rounds: Tensor
     incomplete: Tensor
-    # (searches, 21): `Counts` of each; the values of `MovingBodies._first_faults`; (1,): nonzero if the last round
-    # changed a body.
+    # (searches, 21): `Counts` of each; the values of `MovingBodies._first_invalid_rows`; (1,): nonzero if the last
+    # round changed a body.
     _counts: Tensor = field(repr=False)
-    _first_faults: Tensor = field(repr=False)
+    _first_invalid_rows: Tensor = field(repr=False)
     _changes: Tensor = field(repr=False)
     _capacity: BufferSizes = field(repr=False)
-    _faults: Faults = field(repr=False)
+    _validation: Validation = field(repr=False)
 
     def trim(self) -> Resolution[M]:
         """The resolution without padding. Synchronises.
@@ -88,7 +88,7 @@ class PaddedResolution(Generic[M]):
         Example:
             >>> resolved = pgccd.resolve(scene, motion, capacity=capacity).trim()
         """
-        self._faults.raise_from(self._first_faults.tolist())
+        self._validation.raise_from(self._first_invalid_rows.tolist())
         needed = [counts.needed(self._capacity) for counts in map(Counts.of, self._counts.tolist()) if counts.overflow]
         if needed:
             raise CapacityError(self._capacity, _largest(needed))

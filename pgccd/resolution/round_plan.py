@@ -1,4 +1,4 @@
-"""How many rounds of collision resolution are enqueued at once, and their capacities."""
+"""How many rounds of collision resolution are enqueued before the host reads a result, and their capacities."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 
 from pgccd.detection.capacity import BufferSizes, Counts
 
-# Rounds enqueued at once in the first step.
+# Rounds enqueued in the first step before its result is read.
 _FIRST_ROUNDS = 4
 # Number of recent steps considered.
 _RECENT_STEPS = 8
@@ -16,8 +16,8 @@ _SLACK = 2.0
 
 
 class RoundPlan:
-    """The number of rounds enqueued at once, equal on all ranks, and the capacity of each on this rank. Owned by a
-    simulation.
+    """The number of rounds enqueued before the host reads a result, equal on all ranks, and the capacity of each on
+    this rank. Owned by a simulation.
     """
 
     def __init__(self) -> None:
@@ -33,8 +33,8 @@ class RoundPlan:
         return plan
 
     @property
-    def at_once(self) -> int:
-        """The largest number in recent steps: a superfluous round costs less than a synchronisation."""
+    def rounds_to_enqueue(self) -> int:
+        """The largest number of rounds of recent steps: a superfluous round costs less than a synchronisation."""
         return max(self._recent, default=_FIRST_ROUNDS)
 
     def capacity(self, round: int) -> BufferSizes:

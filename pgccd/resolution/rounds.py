@@ -20,7 +20,7 @@ from torch import Tensor
 
 from pgccd import ops
 from pgccd.detection.capacity import COUNT_ROWS, BufferSizes, Counts
-from pgccd.detection.parts import Part, pairs_of_rounds, search_seconds
+from pgccd.detection.passes import SearchPass, pairs_of_rounds, search_seconds
 from pgccd.resolution.counts import GatheredCounts, Rows, SearchCounts
 from pgccd.resolution.round_plan import RoundPlan
 from pgccd.resolution.stoppers import Stoppers
@@ -67,7 +67,7 @@ class ResolvedStep:
 
     resolution: Fractions
     work: Rows  #: (ranks, 6), see `GatheredCounts.work`
-    conclusions: Rows  #: (ranks, k): the values of `conclude` of each rank
+    summaries: Rows  #: (ranks, k): the values of `summarise` of each rank
     #: Updates the capacity estimates for the next step; deferred, so that the next step can be enqueued first.
     learn: Callable[[], None]
 
@@ -133,17 +133,17 @@ class OneRank:
         return values[None]
 
 
-#: Concludes a step, given the fractions (N,) float64 that the bodies move: returns (k,) int64 values for all ranks. A
-#: later call with other fractions replaces the first.
-Conclude = Callable[[Tensor], Tensor]
+#: Completes a step and summarises it, given the fractions (N,) float64 that the bodies move: returns (k,) int64 values
+#: for all ranks. A later call with other fractions replaces the first.
+Summarise = Callable[[Tensor], Tensor]
 
 
 def resolve_collisions(
-    parts: Sequence[Part],
+    passes: Sequence[SearchPass],
     body_count: int,
     search: RoundSearch,
     plan: RoundPlan,
-    conclude: Conclude,
+    summarise: Summarise,
     clock: StageClock,
     exchange: Exchange | None = None,
     fixed: Tensor | None = None,
@@ -155,11 +155,11 @@ def resolve_collisions(
     make the same decision.
 
     Args:
-        parts: of the whole step's pairs, searched for first contacts; the same number on all ranks.
+        passes: of the whole step's pairs, searched for first contacts; the same number on all ranks.
         body_count: number of bodies N.
         search: searches the rounds.
-        plan: number of rounds enqueued at once, and their capacities.
-        conclude: see `Conclude`.
+        plan: number of rounds enqueued without waiting, and their capacities.
+        summarise: see `Summarise`.
         clock: records stage times.
         exchange: between ranks; default: a single rank.
         fixed: (N,) bool: bodies that move by their whole step, whatever they meet; default: none.
@@ -167,15 +167,15 @@ def resolve_collisions(
     """
     exchange = exchange or OneRank()
     clock.add({"traverse": 0.0, "narrow": 0.0})  # lists the stages in the order of work
-    for part in parts:
-        part.begin()
+    for search_pass in passes:
+        search_pass.begin()
     while True:
-        attempt = Attempt(parts, body_count, search, plan, exchange, clock, fixed, stoppers)
-        resolved = attempt.run(conclude)
+        attempt = Attempt(passes, body_count, search, plan, exchange, clock, fixed, stoppers)
+        resolved = attempt.run(summarise)
         if resolved is not None:
             return resolved
         # The pairs may have exceeded their capacity.
-        search.look_among(pairs_of_rounds(parts))
+        search.look_among(pairs_of_rounds(passes))
 
 
 @dataclass(eq=False)
@@ -185,7 +185,7 @@ class Attempt:
     Arguments as for `resolve_collisions`.
     """
 
-    parts: Sequence[Part]
+    passes: Sequence[SearchPass]
     body_count: int
     search: RoundSearch
     plan: RoundPlan
@@ -195,7 +195,7 @@ class Attempt:
     stoppers: Stoppers | None = None
 
     def __post_init__(self) -> None:
-        self._device = self.parts[0].bodies.device
+        self._device = self.passes[0].bodies.device
         #: (N,) float64: the part of the step that each body moves.
         self.fraction = torch.ones(self.body_count, dtype=torch.float64, device=self._device)
         self._first = torch.full_like(self.fraction, torch.inf)
@@ -210,7 +210,7 @@ class Attempt:
         does.
         """
         change = torch.zeros(1, dtype=torch.int64, device=self._device)
-        found = [part.first_contacts() for part in self.parts]
+        found = [search_pass.first_contacts() for search_pass in self.passes]
         for pairs, toi in found:
             ops.simulate_first_toi(self._first, None, pairs, toi)
         if self.stoppers is not None:
@@ -270,14 +270,14 @@ class Attempt:
         if self.stoppers is not None:
             self.stoppers.note(self._changed)
 
-    def run(self, conclude: Conclude) -> ResolvedStep | None:
+    def run(self, summarise: Summarise) -> ResolvedStep | None:
         """Runs all rounds; None, on all ranks, if a rank exceeded a capacity, which has then grown."""
         exchange, clock = self.exchange, self.clock
         with clock.stage("respond"):
             changes = self.begin()
             # A single rank on the CPU can read the result of each round.
             at_sight = exchange.ranks == 1 and self._device.type == "cpu"
-            more = int(changes) if at_sight else self.plan.at_once
+            more = int(changes) if at_sight else self.plan.rounds_to_enqueue
         went_on: list[bool] = []  # for each round: whether a body had changed on any rank before it
         made: list[NDArray[np.int64]] = []  # counts of this rank, for each round
         secondary_contacts = np.zeros(exchange.ranks, dtype=np.int64)
@@ -288,19 +288,19 @@ class Attempt:
                 while at_sight and int(changes[-1]):
                     one_change, one_count = self.make_rounds(1)
                     changes, counts = torch.cat([changes, one_change]), counts + one_count
-            searched = SearchCounts([part.counts() for part in self.parts], counts)
+            searched = SearchCounts([search_pass.counts() for search_pass in self.passes], counts)
             overflow = torch.cat(searched.overflow()).sum().reshape(1)
-            mine = torch.cat([changes, overflow, *searched.values(), conclude(self.fraction)])
+            mine = torch.cat([changes, overflow, *searched.values(), summarise(self.fraction)])
             with clock.stage("gather"):
                 of_rounds = HostCopy.start(torch.cat([changes[:0], *counts]))
                 numbers = HostCopy.start(exchange.gather(mine)).numpy()
             begin = len(changes) + 1
-            end = begin + GatheredCounts.width(len(self.parts))
+            end = begin + GatheredCounts.width(len(self.passes))
             gathered = GatheredCounts.of(numbers[:, begin:end])
-            of_parts = gathered.of_parts[exchange.rank]
+            of_passes = gathered.of_passes[exchange.rank]
             of_new_rounds = list(of_rounds.numpy().reshape(len(counts), -1)) if counts else []
             if numbers[:, begin - 1].any():
-                self._grow(of_parts, of_new_rounds, len(made))
+                self._grow(of_passes, of_new_rounds, len(made))
                 return None
             went_on += (numbers[:, : begin - 1].max(axis=0) > 0).tolist()
             secondary_contacts += gathered.secondary_contacts
@@ -310,13 +310,13 @@ class Attempt:
                 self.plan.learn(rounds, partial(_needed, made[:rounds], self.capacities))
                 resolution = Fractions(self.fraction, rounds, int(secondary_contacts[exchange.rank]))
                 work = gathered._replace(secondary_contacts=secondary_contacts).work
-                return ResolvedStep(resolution, work, numbers[:, end:], self._learning(of_parts))
+                return ResolvedStep(resolution, work, numbers[:, end:], self._learning(of_passes))
             more, changes = _MORE_ROUNDS, changes[:0]
 
-    def _grow(self, of_parts: NDArray[np.int64], of_rounds: list[NDArray[np.int64]], first_round: int) -> None:
-        for part, numbers in zip(self.parts, of_parts.tolist(), strict=True):
+    def _grow(self, of_passes: NDArray[np.int64], of_rounds: list[NDArray[np.int64]], first_round: int) -> None:
+        for search_pass, numbers in zip(self.passes, of_passes.tolist(), strict=True):
             if Counts.of(numbers).overflow:
-                part.find()
+                search_pass.find()
         # Rounds after the first that overflowed saw only part of the contacts.
         for round, numbers in enumerate(of_rounds, first_round):
             counts = Counts.of(numbers.tolist())
@@ -324,12 +324,12 @@ class Attempt:
                 self.plan.grow(round, counts)
                 return
 
-    def _learning(self, of_parts: NDArray[np.int64]) -> Callable[[], None]:
+    def _learning(self, of_passes: NDArray[np.int64]) -> Callable[[], None]:
         @cache
         def learn() -> None:
-            for part, numbers in zip(self.parts, of_parts.tolist(), strict=True):
+            for search_pass, numbers in zip(self.passes, of_passes.tolist(), strict=True):
                 counts = Counts.of(numbers)
-                part.learn(counts)
+                search_pass.learn(counts)
                 self.clock.add(search_seconds(counts))
 
         return learn

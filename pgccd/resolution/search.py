@@ -12,7 +12,7 @@ from pgccd.detection import broad
 from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.capacity import COUNT_ROWS, BufferSizes
 from pgccd.detection.memory import memory_limit
-from pgccd.detection.parts import Part
+from pgccd.detection.passes import SearchPass
 from pgccd.detection.query import Query
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
@@ -51,11 +51,11 @@ class ShortenedSearch:
         motion = shortened(self.scene, self.motion, fraction)
         motion._is_trusted = True  # it is checked with the whole step
         bodies = MovingBodies.of(self.scene, motion, wait=False)
-        part = self._exactly(bodies, changed) if self._waits(capacity) else self._within(bodies, changed, capacity)
-        pairs, toi = part.first_contacts()
+        made = self._exactly(bodies, changed) if self._waits(capacity) else self._within(bodies, changed, capacity)
+        pairs, toi = made.first_contacts()
         ops.simulate_first_toi(first, None, pairs, toi)
         self.stoppers.find(pairs, toi, first)
-        return part.counts()
+        return made.counts()
 
     def _waits(self, capacity: BufferSizes) -> bool:
         if not self.may_wait:
@@ -63,25 +63,25 @@ class ShortenedSearch:
         device = self.scene.device
         return device.type == "cpu" or capacity.bytes > memory_limit(None, capacity.bytes, device)
 
-    def _exactly(self, bodies: MovingBodies, changed: Tensor) -> Part:
+    def _exactly(self, bodies: MovingBodies, changed: Tensor) -> SearchPass:
         pairs = torch.empty((0, 2), dtype=torch.int64, device=bodies.device)
         if not int(self.invalid):
             chosen = broad.choose(bodies, self.broad_phase)
             pairs = broad.find_pairs_of_checked(bodies, self.query.min_separation, chosen, self.query.tolerance)
-        part = Part(self.query, bodies, pairs[has_changed(pairs, changed)])
-        part.find()
-        return part
+        search_pass = SearchPass(self.query, bodies, pairs[has_changed(pairs, changed)])
+        search_pass.find()
+        return search_pass
 
-    def _within(self, bodies: MovingBodies, changed: Tensor, capacity: BufferSizes) -> Part:
+    def _within(self, bodies: MovingBodies, changed: Tensor, capacity: BufferSizes) -> SearchPass:
         pairs, counts = broad.find_pairs_padded(
             bodies, self.query.min_separation, self.broad_phase, capacity, self.invalid, self.query.tolerance
         )
         pairs, count = select_rows(pairs, has_changed(pairs, changed))
         row = COUNT_ROWS["pairs_written"]
         counts[row : row + 1].copy_(count)
-        part = Part(self.query, bodies, pairs, counts, capacity=capacity)
-        part.start()
-        return part
+        search_pass = SearchPass(self.query, bodies, pairs, counts, capacity=capacity)
+        search_pass.start()
+        return search_pass
 
 
 def shortened(scene: Scene, motion: RigidMotion | VertexMotion, fraction: Tensor) -> RigidMotion | VertexMotion:

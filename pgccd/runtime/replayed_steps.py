@@ -1,4 +1,4 @@
-"""Consecutive steps as replays of a graph, run launch by launch where the graph does not suffice."""
+"""Consecutive steps as replays of a graph, run eagerly (without a graph) where the graph does not suffice."""
 
 import warnings
 from abc import ABC, abstractmethod
@@ -17,15 +17,15 @@ _FEWEST_REPLAYS = 4
 #: Capacity of a graph relative to what the last step needed: capturing a larger graph takes as long as several steps.
 GRAPH_SLACK = 2.0
 
-#: A step run launch by launch.
+#: A step run eagerly.
 M = TypeVar("M")
 G = TypeVar("G", bound=TransactionGraph[Any])
 
 
 class ReplayedSteps(ABC, Generic[M, C, G]):
-    """Runs consecutive steps. The first one runs launch by launch, and a graph is captured with the capacities that it
+    """Runs consecutive steps. The first one runs eagerly, and a graph is captured with the capacities that it
     needed; later steps are replays of this graph, at most two of them enqueued at a time. A step that the graph could
-    not commit is repeated launch by launch, and a larger graph is captured. All ranks make the same decisions, since
+    not commit is repeated eagerly, and a larger graph is captured. All ranks make the same decisions, since
     these depend only on gathered values.
 
     Args:
@@ -36,12 +36,12 @@ class ReplayedSteps(ABC, Generic[M, C, G]):
         self._wants_graph = wants_graph
         self._graph: G | None = None
         self._under_way: deque[Replay[C]] = deque()
-        # Whether the next step must run launch by launch.
-        self._must_launch = False
+        # Whether the next step must run eagerly.
+        self._must_run_eagerly = False
 
     @abstractmethod
-    def _launch(self, index: int) -> M:
-        """Runs a step launch by launch, from the current state."""
+    def _run_eagerly(self, index: int) -> M:
+        """Runs a step eagerly, from the current state."""
 
     @abstractmethod
     def _make_graph(self, index: int) -> G:
@@ -88,8 +88,8 @@ class ReplayedSteps(ABC, Generic[M, C, G]):
         """Whether the graph is larger than recent steps needed."""
         return False
 
-    def _needs_launch(self, step: C, enqueued: int) -> bool:
-        """Whether a later step must run launch by launch: the first after `step` and the next `enqueued` ones, which
+    def _needs_eager_step(self, step: C, enqueued: int) -> bool:
+        """Whether a later step must run eagerly: the first after `step` and the next `enqueued` ones, which
         have been enqueued already.
         """
         return False
@@ -117,30 +117,30 @@ class ReplayedSteps(ABC, Generic[M, C, G]):
         """
         if not self._under_way:
             renew = self._graph is None or self._is_oversized(self._graph)
-            if renew or not more or self._must_launch:
-                return self._launch_and_load(index, more, renew and more > 0)
+            if renew or not more or self._must_run_eagerly:
+                return self._run_eagerly_and_load(index, more, renew and more > 0)
             assert self._graph is not None
             self._under_way.append(self._graph.replay())
         assert self._graph is not None
-        if more > 1 and len(self._under_way) < 2 and not (self._must_launch or self._is_oversized(self._graph)):
+        if more > 1 and len(self._under_way) < 2 and not (self._must_run_eagerly or self._is_oversized(self._graph)):
             self._under_way.append(self._graph.replay())
         committed = self._read(self._under_way.popleft(), index)
         if committed is None:
             self._under_way.clear()  # they changed nothing
-            return self._launch_and_load(index, more, renew=True)
+            return self._run_eagerly_and_load(index, more, renew=True)
         self._note(committed)
-        self._must_launch = self._needs_launch(committed, len(self._under_way))
+        self._must_run_eagerly = self._needs_eager_step(committed, len(self._under_way))
         return committed
 
-    def _launch_and_load(self, index: int, more: int, renew: bool) -> M:
-        """Runs a step launch by launch, and loads the graph with the result; or captures a new one, if enough steps
+    def _run_eagerly_and_load(self, index: int, more: int, renew: bool) -> M:
+        """Runs a step eagerly, and loads the graph with the result; or captures a new one, if enough steps
         follow.
         """
         if self._graph is not None:
             self._take(self._graph)
-        made = self._launch(index)
+        made = self._run_eagerly(index)
         self._note(made)
-        self._must_launch = False
+        self._must_run_eagerly = False
         if self._graph is not None and (renew or not self._load(self._graph, index + 1)):
             self._graph = None
         if self._graph is None and self._wants_graph and more >= _FEWEST_REPLAYS:

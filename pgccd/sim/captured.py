@@ -1,5 +1,5 @@
 """One step of the model as a CUDA graph. It is committed if no rank exceeded a capacity, all collisions are resolved
-and the poses are valid; otherwise `pgccd.sim.replay` runs it launch by launch.
+and the poses are valid; otherwise `pgccd.sim.replay` runs it eagerly.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,7 +14,7 @@ from torch import Tensor
 
 from pgccd import ops
 from pgccd.detection.capacity import Counts
-from pgccd.detection.parts import Part, first_contacts_of
+from pgccd.detection.passes import SearchPass, first_contacts_of
 from pgccd.resolution.counts import GatheredCounts, Rows, SearchCounts
 from pgccd.resolution.round_plan import RoundPlan
 from pgccd.resolution.rounds import Attempt, Exchange
@@ -29,7 +29,7 @@ from pgccd.sim.tally import COUNTED, Tally, count_step
 class Searches:
     """The searches of one rank in a step, enqueued in fixed capacities."""
 
-    parts: Sequence[Part]
+    passes: Sequence[SearchPass]
     partners: Partners
     id: Tensor  #: (H,) int64 ids of the held robots, those of the state first; negative for padding
     exchange: Exchange
@@ -39,7 +39,7 @@ class Searches:
 #: Enqueues the searches of a planned step, given (1,) int64 on the device, nonzero if their results will be discarded.
 Search = Callable[[RobotState, Tensor], Searches]
 #: From a step's searches and the state after it: (k,) int64 values to send to all ranks.
-Conclude = Callable[[Searches, RobotState], Tensor]
+Summarise = Callable[[Searches, RobotState], Tensor]
 
 
 @dataclass
@@ -51,7 +51,7 @@ class CommittedStep:
     seconds: float  #: on the device
     rank: int  #: this rank
     counts: GatheredCounts
-    conclusions: Rows  #: (ranks, 6 + k): from `count_step`, then from `conclude`
+    summaries: Rows  #: (ranks, 6 + k): from `count_step`, then from `summarise`
 
     @property
     def work(self) -> Rows:
@@ -63,14 +63,14 @@ class CommittedStep:
         """Its line in steps.jsonl. With several ranks the stages of detection are those of own pairs; the stage "halo"
         is the time until the search of ghosts' pairs, concurrent with it, ends too. "respond" is everything else.
         """
-        own, *others = [Counts.of(numbers) for numbers in self.counts.of_parts[self.rank].tolist()]
+        own, *others = [Counts.of(numbers) for numbers in self.counts.of_passes[self.rank].tolist()]
         stages = own.seconds
         if others:
-            ended = max(part.narrow_ended for part in others)
+            ended = max(other.narrow_ended for other in others)
             stages = {"halo": 1e-9 * max(0, ended - own.narrow_ended)} | stages
         respond = max(0.0, self.seconds - sum(stages.values()))
         clock = StageClock.of(stages | {"respond": respond}, self.seconds)
-        return Tally.of(self.work, self.conclusions[:, :COUNTED]).record(self.index, self.rounds, clock)
+        return Tally.of(self.work, self.summaries[:, :COUNTED]).record(self.index, self.rounds, clock)
 
 
 class StepGraph(TransactionGraph[CommittedStep]):
@@ -85,7 +85,7 @@ class StepGraph(TransactionGraph[CommittedStep]):
         plan: capacities of rounds.
         rounds: number of rounds of collision resolution.
         usual_rounds: of these, how many every replay runs; see `Attempt.make_rounds_of_replay`.
-        conclude: values to exchange besides those of `count_step`; default: none.
+        summarise: values to exchange besides those of `count_step`; default: none.
         rows: number of rows for robots; those with negative ids are padding. Default: no padding.
     """
 
@@ -98,14 +98,14 @@ class StepGraph(TransactionGraph[CommittedStep]):
         plan: RoundPlan,
         rounds: int,
         usual_rounds: int = 0,
-        conclude: Conclude | None = None,
+        summarise: Summarise | None = None,
         rows: int | None = None,
     ) -> None:
         super().__init__(state.columns, index, _padding(state), rows)
         self._model, self._search, self._plan, self.rounds = model, search, plan, rounds
         self._usual_rounds = usual_rounds
-        self._conclude = conclude
-        self._parts, self._rank = 1, 0
+        self._summarise = summarise
+        self._passes, self._rank = 1, 0
 
     @property
     def state(self) -> RobotState:
@@ -114,33 +114,33 @@ class StepGraph(TransactionGraph[CommittedStep]):
 
     def _step(self) -> Tensor:
         """plan, detect, resolve, commit, count. Returns the record, one row per rank: failure flag, changes of rounds,
-        `SearchCounts.values`, conclusions.
+        `SearchCounts.values`, summaries.
         """
         model, state = self._model, self.state
         planned = model.plan(state, self._index)
         searches = self._search(planned, self._failed)
         exchange, robots = searches.exchange, len(searches.id)
-        attempt = Attempt(searches.parts, robots, searches.partners, self._plan, exchange, StageClock())
+        attempt = Attempt(searches.passes, robots, searches.partners, self._plan, exchange, StageClock())
         first_change = attempt.begin()
         more_changes, of_rounds = attempt.make_rounds_of_replay(self.rounds, self._usual_rounds)
         changes = torch.cat([first_change, more_changes])  # if the last one is nonzero, more rounds are needed
-        counts = SearchCounts([part.counts() for part in searches.parts], of_rounds)
+        counts = SearchCounts([search_pass.counts() for search_pass in searches.passes], of_rounds)
         failed = torch.cat([self._failed, changes[-1:], *counts.overflow(), *searches.failed]).sum().reshape(1)
         outcome = exchange.gather(torch.cat([failed, changes]))
         self._failed.copy_(outcome[:, 0].amax(dim=0, keepdim=True).clamp(max=1))
         fraction = attempt.fraction[: len(state)]
         plan = [getattr(planned, name) for name in PLANNED]
         ops.simulate_commit(list(state.columns.values()), plan, fraction, self._failed)
-        concluded = [count_step(state, fraction, searches.id, *first_contacts_of(searches.parts))]
-        if self._conclude is not None:
-            concluded.append(self._conclude(searches, state))
+        summary = [count_step(state, fraction, searches.id, *first_contacts_of(searches.passes))]
+        if self._summarise is not None:
+            summary.append(self._summarise(searches, state))
         self._index += 1 - self._failed
-        self._parts, self._rank = len(searches.parts), exchange.rank
-        return torch.cat([outcome, exchange.gather(torch.cat([*counts.values(), *concluded]))], dim=1)
+        self._passes, self._rank = len(searches.passes), exchange.rank
+        return torch.cat([outcome, exchange.gather(torch.cat([*counts.values(), *summary]))], dim=1)
 
     def _committed(self, index: int, record: NDArray[np.int64], seconds: float) -> CommittedStep:
         begin = 2 + self.rounds
-        end = begin + GatheredCounts.width(self._parts)
+        end = begin + GatheredCounts.width(self._passes)
         rounds = int(np.argmin(record[:, 1:begin].max(axis=0)))
         counts = GatheredCounts.of(record[:, begin:end])
         return CommittedStep(index, rounds, seconds, self._rank, counts, record[:, end:])

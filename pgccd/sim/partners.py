@@ -23,7 +23,7 @@ class Partners:
     equal times of their whole paths.
 
     A robot that is slowed down moves on a part of its path, so two that meet then are near at two times of their whole
-    paths, and `pgccd.detection.parts.pairs_of_rounds` has the pair. No broad phase is needed in a round.
+    paths, and `pgccd.detection.passes.pairs_of_rounds` has the pair. No broad phase is needed in a round.
 
     Args:
         model: the rules.

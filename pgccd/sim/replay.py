@@ -6,7 +6,7 @@ from torch import Tensor
 
 from pgccd.detection import broad
 from pgccd.detection.bodies import MovingBodies
-from pgccd.detection.parts import find_part, pairs_of_rounds
+from pgccd.detection.passes import find_pass, pairs_of_rounds
 from pgccd.resolution.rounds import OneRank
 from pgccd.runtime.replayed_steps import GRAPH_SLACK, ReplayedSteps
 from pgccd.sim.captured import CommittedStep, Searches, StepGraph
@@ -91,7 +91,7 @@ class StepMaker(ReplayedSteps[Step, CommittedStep, StepGraph]):
         """
         return self._advance(index, more)
 
-    def _launch(self, index: int) -> Step:
+    def _run_eagerly(self, index: int) -> Step:
         made = make_step(self._model, self._scene, self._state, index, self._broad_phase, self._plan)
         self._state = made.after
         return made
@@ -137,8 +137,8 @@ def make_step_graph(
     def search(planned: RobotState, discard: Tensor) -> Searches:
         bodies = MovingBodies.of(scene, model.motion(planned), wait=False)
         given = None, discard, None, plan.pairs, GRAPH_SLACK
-        part = find_part(bodies, FIRST_CONTACTS, broad_phase, *given, at_any_times=True)
-        partners = Partners(model, planned.moving_columns, None, pairs_of_rounds([part]))
-        return Searches([part], partners, planned.id, OneRank(), [bodies._first_faults()[-1:]])
+        search_pass = find_pass(bodies, FIRST_CONTACTS, broad_phase, *given, at_any_times=True)
+        partners = Partners(model, planned.moving_columns, None, pairs_of_rounds([search_pass]))
+        return Searches([search_pass], partners, planned.id, OneRank(), [bodies._first_invalid_rows()[-1:]])
 
     return StepGraph(model, state, index, search, plan.rounds, rounds, usual_rounds)

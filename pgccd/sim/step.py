@@ -11,7 +11,7 @@ from pgccd.detection import broad
 from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.contacts import Contacts
 from pgccd.detection.memory import CapacityEstimate
-from pgccd.detection.parts import contacts_of_step, find_part, pairs_of_rounds
+from pgccd.detection.passes import contacts_of_step, find_pass, pairs_of_rounds
 from pgccd.geometry.scene import Scene
 from pgccd.resolution.round_plan import RoundPlan
 from pgccd.resolution.rounds import Fractions, resolve_collisions
@@ -39,7 +39,7 @@ class StepPlan:
 
 @dataclass
 class Step:
-    """A step run launch by launch. Expensive results are computed on access.
+    """A step run eagerly. Expensive results are computed on access.
 
     Attributes:
         index: of the step, from 0.
@@ -104,28 +104,28 @@ def make_step(
         motion = model.motion(before)
     with clock.stage("broad"):
         bodies = MovingBodies.of(scene, motion, wait=scene.device.type == "cpu")
-        faults = HostCopy.start(bodies._first_faults())
-        part = find_part(bodies, FIRST_CONTACTS, broad_phase, estimate=plan.pairs, at_any_times=True)
+        invalid_rows = HostCopy.start(bodies._first_invalid_rows())
+        search_pass = find_pass(bodies, FIRST_CONTACTS, broad_phase, estimate=plan.pairs, at_any_times=True)
     after = before
 
-    def conclude(fraction: Tensor) -> Tensor:
+    def summarise(fraction: Tensor) -> Tensor:
         nonlocal after
         with clock.stage("respond"):
             after = respond(before, fraction)
         with clock.stage("hash"):
-            return count_step(after, fraction, before.id, *part.first_contacts())
+            return count_step(after, fraction, before.id, *search_pass.first_contacts())
 
-    partners = Partners(model, before.moving_columns, None, pairs_of_rounds([part]))
-    resolved = resolve_collisions([part], scene.body_count, partners, plan.rounds, conclude, clock)
-    bodies._raise_faults(faults.numpy().tolist())
+    partners = Partners(model, before.moving_columns, None, pairs_of_rounds([search_pass]))
+    resolved = resolve_collisions([search_pass], scene.body_count, partners, plan.rounds, summarise, clock)
+    bodies._raise_invalid(invalid_rows.numpy().tolist())
     resolved.learn()
     clock.stop()
 
     def make_record() -> dict[str, Any]:
-        return Tally.of(resolved.work, resolved.conclusions).record(index, resolved.resolution.rounds, clock)
+        return Tally.of(resolved.work, resolved.summaries).record(index, resolved.resolution.rounds, clock)
 
     def find() -> Contacts:
-        found = contacts_of_step([part])
+        found = contacts_of_step([search_pass])
         assert isinstance(found, Contacts)  # of report="first"
         return found
 

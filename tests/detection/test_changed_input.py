@@ -12,7 +12,7 @@ from support.shapes import Bodies, approaching, tensors
 
 import pgccd
 from pgccd.detection.capacity import Capacity
-from pgccd.motion import faults
+from pgccd.motion import validation
 
 NAN, INF = float("nan"), float("inf")
 RIGID = {"position_t0": NAN, "position_t1": -INF, "orientation_t0": 0.1, "rotation": 1e7}
@@ -126,7 +126,7 @@ def test_trusted_columns_are_never_looked_at(monkeypatch: pytest.MonkeyPatch) ->
     def fail(*_: object) -> None:
         raise AssertionError("looked at")
 
-    monkeypatch.setattr(faults.ops, "first_faults", fail)
+    monkeypatch.setattr(validation.ops, "first_invalid_rows", fail)
     trusted = pgccd.RigidMotion._of_checked(*columns)
     assert len(pgccd.detect(scene, trusted)) == len(pgccd.detect(scene, trusted[:], capacity=Capacity.of(9)).trim())
     pgccd.broad.sweep(pgccd.MovingBodies.of(scene, trusted))
@@ -155,7 +155,7 @@ def test_verdict_on_what_is_not_kept_stays(monkeypatch: pytest.MonkeyPatch) -> N
     with pytest.raises(ValueError, match="^orientation_t1: body 1"):
         _ = motion[1:]
     motion.position_t0[0, 0] = NAN
-    assert pgccd.MovingBodies.of(scene, motion, wait=False)._first_faults().tolist() == [1, 0, 2, 2, 2, 1]
+    assert pgccd.MovingBodies.of(scene, motion, wait=False)._first_invalid_rows().tolist() == [1, 0, 2, 2, 2, 1]
 
 
 def sizes() -> tuple[pgccd.Scene, pgccd.RigidMotion, list[pgccd.Mesh]]:

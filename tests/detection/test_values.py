@@ -13,7 +13,7 @@ from support.shapes import Bodies, approaching, tensors
 import pgccd
 from pgccd.detection.capacity import Capacity
 from pgccd.geometry.scene import Scene
-from pgccd.motion.faults import CHECK_NUMBERS
+from pgccd.motion.validation import CHECK_NUMBERS
 
 NAN, INF = float("nan"), float("inf")
 STILL = np.array([[1.0, 0.0, 0.0, 0.0]] * 2)
@@ -375,7 +375,7 @@ def test_errors_give_the_value(device: torch.device) -> None:
 def test_numbers_of_checks() -> None:
     """They are those of the operator, which refuses others."""
     column = torch.tensor([[0.5], [-0.5], [2.0], [NAN]], dtype=torch.float64)
-    first = pgccd.ops.first_faults([column] * 4, list(CHECK_NUMBERS.values()), [1.0, 0.6, 1.0, 1.0])
+    first = pgccd.ops.first_invalid_rows([column] * 4, list(CHECK_NUMBERS.values()), [1.0, 0.6, 1.0, 1.0])
     assert first.tolist() == [2, 2, 2, 1, 1]
     with pytest.raises(RuntimeError, match="checks: expected"):
-        pgccd.ops.first_faults([column], [4], [1.0])
+        pgccd.ops.first_invalid_rows([column], [4], [1.0])

@@ -17,7 +17,7 @@ from torch import Tensor
 
 import pgccd
 from distributed.conftest import World as Ranks
-from pgccd.detection.parts import find_part
+from pgccd.detection.passes import find_pass
 from pgccd.distributed import (
     BalanceOptions,
     Bodies,
@@ -273,7 +273,7 @@ def test_columns_that_are_not_contiguous(device: torch.device, graph: bool) -> N
 
 
 def test_a_step_of_invalid_poses_is_an_error(device: torch.device) -> None:
-    """Detected by the graph; the step repeated launch by launch names the body."""
+    """Detected by the graph; the step repeated eagerly names the body."""
     with graphs_on(device):
         world = spread(Alone(), device, "none", "cells")
 
@@ -346,9 +346,9 @@ def follow_off_centre(comm: Comm, broad_phase: str) -> list[tuple[int, int, bool
 
     def search(bodies: Any, *arguments: Any, **more: Any) -> Any:
         assert not bodies.reach.isnan().any()
-        return find_part(bodies, *arguments, **more)
+        return find_pass(bodies, *arguments, **more)
 
-    with graphs_on("cpu"), mock.patch.object(share, "find_part", search):
+    with graphs_on("cpu"), mock.patch.object(share, "find_pass", search):
         columns = {"id": mine, "world": mine // 2, "balance": BalanceOptions("none")}
         asked: dict[str, Any] = {"comm": comm, "broad_phase": broad_phase, **columns}
         world = World.create([mesh], (0.0,) * 3, (8.0, 4.0, 4.0), position, **asked)

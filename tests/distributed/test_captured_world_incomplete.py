@@ -71,7 +71,7 @@ def lose(comm: Comm, device: str, where: str, loser: int, over_peers: bool) -> t
 def test_lost_on_one_rank(ranks: RankPool, where: str) -> None:
     for over_peers in (False, True):
         for seen, replayed in ranks.run(2, lose, "cpu", where, 1, over_peers):
-            assert seen[0] is True and seen[-1] is False  # in the graph; repeated launch by launch
+            assert seen[0] is True and seen[-1] is False  # in the graph; repeated eagerly
             assert replayed > 3
 
 

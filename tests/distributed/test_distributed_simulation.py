@@ -101,7 +101,7 @@ def follow(
         simulation._plan = Cramped()
     generator = torch.Generator().manual_seed(17)
     seen = dict.fromkeys(("moved cells", "arrived", "contacts", "away", "replayed"), 0)
-    run = 12 if graph else 5  # every run-th step is launched, with access to its details
+    run = 12 if graph else 5  # every run-th step is eager, with access to its details
     for index in range(steps):
         if random_owners and index % run == 2 and not simulation.is_ahead:
             # Assign random owners. Until the next migration, ranks hold robots they do not own.
@@ -321,7 +321,7 @@ def test_balance_spreads_what_one_rank_had(ranks: World) -> None:
 
 
 @pytest.mark.parametrize("size", [pytest.param(2, marks=pytest.mark.slow), 4])
-@pytest.mark.parametrize("graph", [False, True], ids=["launched", "replayed"])
+@pytest.mark.parametrize("graph", [False, True], ids=["eager", "replayed"])
 @pytest.mark.parametrize(("name", "policy"), [("random", "none"), ("skewed", "cost")])
 def test_same_bits_with_neighbours_only(ranks: World, name: str, policy: str, graph: bool, size: int) -> None:
     extended = ranks.run(size, follow_neighbours, name, policy, 24, graph)

@@ -31,7 +31,7 @@ def follow(comm: Comm, name: str, expected: list[dict[str, Any]], kind: str, rep
     return ghosts
 
 
-@pytest.mark.parametrize("replayed", [False, True], ids=["launched", "replayed"])
+@pytest.mark.parametrize("replayed", [False, True], ids=["eager", "replayed"])
 @pytest.mark.parametrize(("name", "kind"), [("random", "cells"), ("skewed", "bisection")])
 def test_fast_robots(world: World, name: str, kind: str, replayed: bool) -> None:
     ghosts = world(follow, name, follow_plainly(name), kind, replayed)

@@ -20,7 +20,7 @@ from distributed.conftest import World
 from pgccd import ops, sim
 from pgccd.distributed import Alone, Cells, Comm
 from pgccd.distributed import World as SharedWorld
-from pgccd.distributed.detection.options import Options, PartEstimates
+from pgccd.distributed.detection.options import PassEstimates, SearchOptions
 from pgccd.distributed.detection.share import Share, search_share
 from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.motion import columns as motion_columns
@@ -77,15 +77,15 @@ def test_bad_poses_and_separations_are_named() -> None:
     decomposition = Decomposition(Alone(), Cells.uniform((-1.0,) * 3, (1.0,) * 3, 1))
     bodies = pgccd.MovingBodies.of(model.scene(state.id), model.motion(state), wait=False)
 
-    def search(options: Options) -> Share:
-        asked = decomposition, {"id": state.id}, bodies, lambda ghosts: ghosts, options, PartEstimates()
+    def search(options: SearchOptions) -> Share:
+        asked = decomposition, {"id": state.id}, bodies, lambda ghosts: ghosts, options, PassEstimates()
         return search_share(*asked, beside=lambda share: None)[0]
 
     with pytest.raises(ValueError, match="^min_separation: "):
-        search(Options(min_separation=-1.0))
+        search(SearchOptions(min_separation=-1.0))
     state.position[3, 1] = torch.nan
     with pytest.raises(ValueError, match="^position: body 3|^position_t0: body 3"):
-        search(Options())
+        search(SearchOptions())
 
 
 def test_motion_from_rotation_is_the_motion_it_was_made_of() -> None:
@@ -142,7 +142,7 @@ def validations(comm: Comm) -> tuple[int, int]:
     world = SharedWorld.create([mesh], (0.0,) * 3, (1.0,) * 3, position, id=mine, comm=comm)
     turn = torch.eye(4).double()[:1].repeat(len(world.id), 1)
     motion = pgccd.RigidMotion.from_velocity(world.position, turn, turn[:, :3], turn[:, :3], dt=0.1)
-    with mock.patch.object(motion_columns, "first_faults", wraps=motion_columns.first_faults) as checked:
+    with mock.patch.object(motion_columns, "first_invalid_rows", wraps=motion_columns.first_invalid_rows) as checked:
         world.step(motion)
     assert world.found is not None
     return checked.call_count, world.found.held.ghost_count

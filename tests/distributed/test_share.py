@@ -12,9 +12,9 @@ import pytest
 
 from distributed.conftest import World
 from pgccd import sim
-from pgccd.detection import parts as parts_module
+from pgccd.detection import passes as passes_module
 from pgccd.detection.capacity import EXACTLY, Capacity
-from pgccd.detection.parts import Part
+from pgccd.detection.passes import SearchPass
 from pgccd.distributed import Cells, Comm
 from pgccd.sim.distributed import DistributedSimulation, starting_share
 
@@ -46,13 +46,13 @@ def by_one_process() -> list[dict[str, Any]]:
 
 
 def by_ranks(comm: Comm, capacity: str) -> tuple[list[dict[str, Any]], int, int]:
-    """The records; how often own pairs were found again; and how many own parts overflowed."""
+    """The records; how often own pairs were found again; and how many own passes overflowed."""
     model = sim.Model(CONFIG)
     half = model.half_extent
     partition = Cells.uniform(tuple(-x for x in half), half, comm.size, cells=2)
     renewed = searched = 0
 
-    class Watched(Part):
+    class Watched(SearchPass):
         def __init__(self, *given: Any, **more: Any) -> None:
             super().__init__(*given, **more)
             find_pairs = self.find_pairs
@@ -74,9 +74,9 @@ def by_ranks(comm: Comm, capacity: str) -> tuple[list[dict[str, Any]], int, int]
     patches = {
         "_looks_ahead": lambda _: True,
         "expected_capacity": lambda *_, slack: CAPACITIES[capacity],
-        "Part": Watched,
+        "SearchPass": Watched,
     }
-    with mock.patch.multiple(parts_module, **patches):
+    with mock.patch.multiple(passes_module, **patches):
         simulation = DistributedSimulation.create(comm, model, partition, starting_share(comm, model))
         made = [simulation.step(index) for index in range(STEPS)]
     records = [without_times(step.record) for step in made]
@@ -103,22 +103,22 @@ def leave_no_garbage(comm: Comm) -> None:
     half = model.half_extent
     partition = Cells.uniform(tuple(-x for x in half), half, comm.size, cells=2)
     simulation = DistributedSimulation.create(comm, model, partition, starting_share(comm, model))
-    made: list[weakref.ref[Part]] = []
+    made: list[weakref.ref[SearchPass]] = []
 
-    class Watched(Part):
+    class Watched(SearchPass):
         def __post_init__(self) -> None:
             super().__post_init__()
             made.append(weakref.ref(self))
 
-    patches = {"_looks_ahead": lambda _: True, "expected_capacity": lambda *_, slack: PLENTY, "Part": Watched}
+    patches = {"_looks_ahead": lambda _: True, "expected_capacity": lambda *_, slack: PLENTY, "SearchPass": Watched}
     gc.collect()
     gc.disable()
     try:
-        with mock.patch.multiple(parts_module, **patches):
+        with mock.patch.multiple(passes_module, **patches):
             step = simulation.step(0)
-            assert len(made) == 2 and all(part() is not None for part in made)
+            assert len(made) == 2 and all(each() is not None for each in made)
             del step
-        assert all(part() is None for part in made)
+        assert all(each() is None for each in made)
     finally:
         gc.enable()
 

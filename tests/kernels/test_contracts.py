@@ -13,7 +13,7 @@ from support.shapes import approaching
 import pgccd
 from pgccd import broad, narrow, sim
 from pgccd.detection.capacity import COUNTS_OF_PAIRS, Counts
-from pgccd.motion.faults import CHECK_NUMBERS
+from pgccd.motion.validation import CHECK_NUMBERS
 from pgccd.sim import model
 
 CSRC = Path(__file__).resolve().parents[2] / "csrc"
@@ -38,7 +38,7 @@ def enumerators(header: str, name: str) -> dict[str, int]:
     [
         ("kernels/broad/broad.h", "BroadPhase", broad.BROAD_PHASE_NUMBERS),
         ("kernels/narrow/narrow.h", "Report", narrow.REPORTS),
-        ("kernels/bounds/faults.h", "RowCheck", CHECK_NUMBERS),
+        ("kernels/bounds/validation.h", "RowCheck", CHECK_NUMBERS),
         (
             "kernels/narrow/search_state.h",
             "Status",

@@ -1,4 +1,4 @@
-"""Steps as replays of one graph: the same log as launch by launch, whatever fails."""
+"""Steps as replays of one graph: the same log as of eager steps, whatever fails."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def without_times(record: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in record.items() if "seconds" not in name and name != "candidates"}
 
 
-def launch_by_launch(model: Model, steps: int) -> tuple[list[dict[str, Any]], RobotState]:
+def run_eagerly(model: Model, steps: int) -> tuple[list[dict[str, Any]], RobotState]:
     state, records = model.start(), []
     scene = model.scene(state.id)
     for index in range(steps):
@@ -58,7 +58,7 @@ def same(found: RobotState, expected: RobotState) -> bool:
 @pytest.mark.parametrize("pattern", ["random", "skewed"])
 def test_same_steps(device: torch.device, graphs: list[StepGraph], pattern: str) -> None:
     model = Model(ModelConfig(pattern=pattern, **FAST), device=device)
-    expected, last = launch_by_launch(model, STEPS)
+    expected, last = run_eagerly(model, STEPS)
     maker = StepMaker(model, model.start(), graph=True)
     kinds = []
     for index in range(STEPS):
@@ -71,7 +71,7 @@ def test_same_steps(device: torch.device, graphs: list[StepGraph], pattern: str)
         assert maker.is_ahead <= (more > 1)
     assert same(maker.state, last)
     assert kinds[0] is kinds[19] is kinds[-1] is Step and kinds.count(CommittedStep) > STEPS // 2
-    # Steps that need more rounds run launch by launch, and a graph with more rounds is captured.
+    # Steps that need more rounds run eagerly, and a graph with more rounds is captured.
     rounds = [graph.rounds for graph in graphs]
     assert rounds == sorted(rounds) and rounds[-1] <= 1 + max(record["resolution_rounds"] for record in expected)
     assert len(graphs) > 1
@@ -119,7 +119,7 @@ def test_too_little_capacity(
     if device.type == "cpu":
         pytest.skip("capacities are exact on a CPU")
     model = Model(ModelConfig(**FAST | {"robots": 20_000}), device=device)
-    expected, last = launch_by_launch(model, 12)
+    expected, last = run_eagerly(model, 12)
     maker = StepMaker(model, model.start())
     make_graph = replay.make_step_graph
 
@@ -164,7 +164,7 @@ def test_rounds_that_no_recent_step_needed(
 ) -> None:
     monkeypatch.setattr(replay, "_RECENT_STEPS", 6)
     model = Model(ModelConfig(**FAST | {"speed": 0.02, "spin": 0.0}), device=device)
-    expected, last = launch_by_launch(model, STEPS)
+    expected, last = run_eagerly(model, STEPS)
     maker = StepMaker(model, model.start(), graph=True)
     maker._recent.note(3)  # as if there had been more rounds
     for index in range(STEPS):
@@ -177,7 +177,7 @@ def test_rounds_that_no_recent_step_needed(
 def test_without_a_graph(device: torch.device, graphs: list[StepGraph]) -> None:
     """If no graph is wanted, or none can be captured, with one warning."""
     model = Model(ModelConfig(**FAST), device=device)
-    expected, _ = launch_by_launch(model, 8)
+    expected, _ = run_eagerly(model, 8)
     plain = StepMaker(model, model.start(), graph=False)
 
     def fail(*_: Any) -> Any:

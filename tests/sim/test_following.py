@@ -11,7 +11,7 @@ from support.graphs import graphs_on
 from support.resolution import plain_step
 
 import pgccd
-from pgccd.detection.parts import Part, find_part, pairs_of_rounds
+from pgccd.detection.passes import SearchPass, find_pass, pairs_of_rounds
 from pgccd.resolution.round_plan import RoundPlan
 from pgccd.resolution.rounds import Fractions, resolve_collisions
 from pgccd.runtime.stages import StageClock
@@ -38,10 +38,10 @@ def rows_of_three(seed: int, speed: float, gap: float, kinds: int) -> tuple[Mode
     return model, state
 
 
-def resolved(model: Model, state: RobotState, part: Part, pairs: torch.Tensor) -> Fractions:
+def resolved(model: Model, state: RobotState, search_pass: SearchPass, pairs: torch.Tensor) -> Fractions:
     partners = Partners(model, state.moving_columns, None, pairs)
     nothing = torch.zeros(1, dtype=torch.int64)
-    given = [part], len(state), partners, RoundPlan(), lambda _: nothing, StageClock()
+    given = [search_pass], len(state), partners, RoundPlan(), lambda _: nothing, StageClock()
     return resolve_collisions(*given).resolution
 
 
@@ -50,20 +50,20 @@ def resolved(model: Model, state: RobotState, part: Part, pairs: torch.Tensor) -
 def test_a_robot_that_follows_a_stopped_one(speed: float, gap: float, kinds: int) -> None:
     model, state = rows_of_three(int(10 * speed), speed, gap, kinds)
     scene, motion = model.scene(state.id), model.motion(state)
-    part = find_part(pgccd.MovingBodies.of(scene, motion), FIRST_CONTACTS, at_any_times=True)
-    assert torch.equal(part.pairs, pgccd.broad.find_pairs(part.bodies))
+    search_pass = find_pass(pgccd.MovingBodies.of(scene, motion), FIRST_CONTACTS, at_any_times=True)
+    assert torch.equal(search_pass.pairs, pgccd.broad.find_pairs(search_pass.bodies))
     plain = plain_step(model, state).resolution
-    found = resolved(model, state, part, pairs_of_rounds([part]))
+    found = resolved(model, state, search_pass, pairs_of_rounds([search_pass]))
     assert torch.equal(found.fraction, plain.fraction)
     assert (found.rounds, found.secondary_contacts) == (plain.rounds, plain.secondary_contacts)
     # Paths of `resolve` are computed in another way, up to rounding.
     anew = pgccd.resolve(scene, motion, initial="assume_free")
     torch.testing.assert_close(found.fraction, anew.fraction, rtol=1e-9, atol=1e-9)
     followers = {(k, k + 1) for k in range(0, 3 * ROWS, 3)}
-    assert followers <= {tuple(pair) for pair in pairs_of_rounds([part]).tolist()}
-    assert followers.isdisjoint(tuple(pair) for pair in part.pairs.tolist())
+    assert followers <= {tuple(pair) for pair in pairs_of_rounds([search_pass]).tolist()}
+    assert followers.isdisjoint(tuple(pair) for pair in search_pass.pairs.tolist())
     if speed > 1.0:  # the pairs at equal times do not suffice
-        assert not torch.equal(resolved(model, state, part, part.pairs).fraction, plain.fraction)
+        assert not torch.equal(resolved(model, state, search_pass, search_pass.pairs).fraction, plain.fraction)
 
 
 @pytest.mark.parametrize("name", list(FAST))

@@ -18,7 +18,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 import pgccd
 from pgccd.detection.capacity import COUNT_ROWS, BufferSizes, Capacity
-from pgccd.detection.parts import Part
+from pgccd.detection.passes import SearchPass
 from pgccd.resolution.round_plan import RoundPlan
 from pgccd.resolution.rounds import OneRank, ResolvedStep, resolve_collisions
 from pgccd.runtime.stages import StageClock
@@ -99,29 +99,30 @@ class PlannedStep:
         """Number of rounds the step takes."""
         return self.expected.resolution.rounds
 
-    def part(self) -> Part:
-        return Part(FIRST_CONTACTS, self.bodies, self.pairs)
+    def search_pass(self) -> SearchPass:
+        return SearchPass(FIRST_CONTACTS, self.bodies, self.pairs)
 
     def resolve(
         self,
         plan: RoundPlan | None = None,
         exchange: OneRank | None = None,
         make_partners: Callable[..., Partners] = Partners,
-        part: Part | None = None,
+        search_pass: SearchPass | None = None,
     ) -> ResolvedStep:
         partners = make_partners(self.model, self.state.moving_columns, None, self.pairs)
-        given = [part or self.part()], len(self.state), partners, plan or RoundPlan(), self.conclude, StageClock()
+        passes, plan = [search_pass or self.search_pass()], plan or RoundPlan()
+        given = passes, len(self.state), partners, plan, self.summarise, StageClock()
         resolved = resolve_collisions(*given, exchange)
         found, expected = resolved.resolution, self.expected.resolution
         assert (found.rounds, found.secondary_contacts) == (expected.rounds, expected.secondary_contacts)
         assert torch.equal(found.fraction, expected.fraction)
         ranks = exchange.ranks if exchange else 1
-        assert resolved.conclusions.tolist() == [self.conclude(expected.fraction).tolist()] * ranks
+        assert resolved.summaries.tolist() == [self.summarise(expected.fraction).tolist()] * ranks
         assert resolved.work[:, WORK.index("contacts")].tolist() == [len(self.expected.contacts)] * ranks
         return resolved
 
     @staticmethod
-    def conclude(fraction: Tensor) -> Tensor:
+    def summarise(fraction: Tensor) -> Tensor:
         return (fraction < 1.0).sum().reshape(1)
 
 
@@ -168,7 +169,7 @@ def test_wherever_a_batch_ends() -> None:
     for rounds in range(step.rounds + 3):
         plan, exchange = plan_after(rounds), TwoAlike()
         step.resolve(plan, exchange)
-        assert plan.at_once == max(rounds, step.rounds)
+        assert plan.rounds_to_enqueue == max(rounds, step.rounds)
         assert exchange.waits == 1 + max(0, -(-(step.rounds - rounds) // 2))
 
 
@@ -176,7 +177,7 @@ def test_a_step_of_which_nothing_is_known() -> None:
     step = many_rounds()
     plan = RoundPlan()
     step.resolve(plan, TwoAlike())
-    assert plan.at_once == step.rounds
+    assert plan.rounds_to_enqueue == step.rounds
 
 
 def test_one_rank_on_the_cpu_makes_the_rounds_it_needs() -> None:
@@ -219,12 +220,12 @@ def test_too_little_capacity_in_a_round() -> None:
 def test_too_little_capacity_for_the_whole_step(exchange: OneRank | None, monkeypatch: pytest.MonkeyPatch) -> None:
     step = many_rounds()
     for lacking in (1, 0):
-        part = step.part()
+        search_pass = step.search_pass()
         with monkeypatch.context() as patch:
             patch.setattr(pipeline_module, "EXACTLY", BufferSizes(0, len(step.expected.contacts) - lacking))
-            counts = part.start().read()
+            counts = search_pass.start().read()
         assert counts.overflow == bool(lacking)
-        step.resolve(plan_after(step.rounds), exchange, part=part)
+        step.resolve(plan_after(step.rounds), exchange, search_pass=search_pass)
 
 
 def test_rounds_that_do_not_fit_into_memory(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -245,7 +246,7 @@ def test_no_robot_collides() -> None:
         exchange = TwoAlike()
         found = step.resolve(plan, exchange).resolution
         assert (found.rounds, found.secondary_contacts, exchange.waits) == (0, 0, 1)
-        assert bool((found.fraction == 1.0).all()) and plan.at_once == 0
+        assert bool((found.fraction == 1.0).all()) and plan.rounds_to_enqueue == 0
 
 
 def test_every_robot_collides() -> None:
@@ -295,11 +296,11 @@ def test_a_round_is_few_operators_and_no_wait() -> None:
     step = many_rounds()
     calls = []
     for rounds in (8, 9):
-        part, plan, exchange = step.part(), plan_after(rounds), TwoAlike()
-        part.start()
+        search_pass, plan, exchange = step.search_pass(), plan_after(rounds), TwoAlike()
+        search_pass.start()
         partners = Unread(step.model, step.state.moving_columns, None, step.pairs)
         partners._copies_of(len(step.pairs))
-        given = [part], len(step.state), partners, plan, step.conclude, StageClock()
+        given = [search_pass], len(step.state), partners, plan, step.summarise, StageClock()
         with Calls() as watch:
             found = resolve_collisions(*given, exchange).resolution
         assert same(found, step.expected.resolution)

@@ -12,7 +12,7 @@ from torch import Tensor
 
 import pgccd
 from pgccd.detection.capacity import COUNT_ROWS, BufferSizes
-from pgccd.detection.parts import Part
+from pgccd.detection.passes import SearchPass
 from pgccd.resolution.round_plan import RoundPlan
 from pgccd.resolution.rounds import Fractions, resolve_collisions
 from pgccd.runtime.stages import StageClock
@@ -69,7 +69,7 @@ def plain_resolution(pairs: Tensor, toi: Tensor, count: int, find: Find) -> Frac
 def resolve_given(pairs: Tensor, toi: Tensor, count: int, find: Find) -> Fractions:
     """Result of `resolve_collisions` for these contacts, and for those that `find` returns for later rounds."""
 
-    class GivenPart:
+    class GivenPass:
         """Pairs with given contacts."""
 
         bodies = SimpleNamespace(device=pairs.device)
@@ -97,9 +97,9 @@ def resolve_given(pairs: Tensor, toi: Tensor, count: int, find: Find) -> Fractio
                 counts[COUNT_ROWS["contacts"]] = len(times)
             return counts
 
-    parts, partners = cast(list[Part], [GivenPart()]), cast(Partners, GivenRounds())
+    passes, partners = cast(list[SearchPass], [GivenPass()]), cast(Partners, GivenRounds())
     nothing = torch.zeros(1, dtype=torch.int64)
-    return resolve_collisions(parts, count, partners, RoundPlan(), lambda _: nothing, StageClock()).resolution
+    return resolve_collisions(passes, count, partners, RoundPlan(), lambda _: nothing, StageClock()).resolution
 
 
 def plain_run(model: Model, steps: int) -> list[dict[str, Any]]:

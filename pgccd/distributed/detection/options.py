@@ -12,7 +12,7 @@ from pgccd.detection.query import Query
 
 
 @dataclass(frozen=True)
-class Options:
+class SearchOptions:
     """Options of `pgccd.detect`, and how to run it."""
 
     report: narrow.Report = "first"
@@ -23,7 +23,7 @@ class Options:
     #: Whether pairs of own bodies are searched while ghosts are sent. The result does not depend on it.
     overlap: bool = True
     initial: Initial = "report"
-    #: Whether parts have the pairs for rounds of resolution: `Part.swept_pairs`.
+    #: Whether passes have the pairs for rounds of resolution: `SearchPass.swept_pairs`.
     at_any_times: bool = False
 
     def check(self) -> None:
@@ -35,20 +35,20 @@ class Options:
 
     @property
     def query(self) -> Query:
-        """The options of each part."""
+        """The options of each pass."""
         # Rows are not in the order of ids, which breaks ties.
         report: narrow.Report = "first" if self.report == "earliest" else self.report
         return Query(report, self.min_separation, self.tolerance, self.nonzero_toi, self.initial)
 
     @property
-    def kept(self) -> tuple[float, float]:
+    def distances(self) -> tuple[float, float]:
         """min_separation and tolerance, as the operators take them."""
         return check_separation(self.min_separation), operator_tolerance(self.tolerance)
 
 
 @dataclass
-class PartEstimates:
-    """Capacity estimates of the parts; owned by a simulation or `World`."""
+class PassEstimates:
+    """Capacity estimates of the passes; owned by a simulation or `World`."""
 
     own: CapacityEstimate = field(default_factory=CapacityEstimate)
     with_ghosts: CapacityEstimate = field(default_factory=CapacityEstimate)

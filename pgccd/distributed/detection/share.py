@@ -19,9 +19,9 @@ from torch import Tensor
 from pgccd import ops
 from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.contacts import CollidingPairs, Contacts
-from pgccd.detection.parts import PART_SLACK, Part, contacts_of_step, find_part, first_contacts_of
+from pgccd.detection.passes import PASS_SLACK, SearchPass, contacts_of_step, find_pass, first_contacts_of
 from pgccd.distributed.comm.exchange import Columns
-from pgccd.distributed.detection.options import Options, PartEstimates
+from pgccd.distributed.detection.options import PassEstimates, SearchOptions
 from pgccd.distributed.halo.ghosts import Halo
 from pgccd.distributed.halo.held import Held
 from pgccd.distributed.halo.sizes import HaloSizes
@@ -45,9 +45,9 @@ class Share:
     """
 
     held: Held
-    parts: list[Part]  #: being searched
+    passes: list[SearchPass]  #: being searched
     ghosts: MovingBodies | None  #: None on a single rank
-    options: Options
+    options: SearchOptions
     #: (1,) int64: nonzero if there were more bodies than the given sizes on this rank, and pairs may be missing.
     overflow: Tensor
     sizes: HaloSizes | None  #: exact numbers of bodies; None if nothing was to synchronise
@@ -61,31 +61,31 @@ class Share:
     @cached_property
     def pairs(self) -> Tensor:
         """(P, 2) int64: the PCS as rows of the held bodies, the one with the smaller id first. Synchronises."""
-        return torch.cat([part.in_step(_pairs_of(part)) for part in self.parts])
+        return torch.cat([each.in_step(_pairs_of(each)) for each in self.passes])
 
     @cached_property
     def contacts(self) -> Contacts | CollidingPairs:
         """The contacts of these pairs, as rows of the held bodies; the first one for "earliest". Synchronises."""
-        found = contacts_of_step(self.parts)
+        found = contacts_of_step(self.passes)
         if self.options.report == "earliest" and isinstance(found, Contacts):
             found = found.earliest(*self.held.id[found.pairs].unbind(dim=1))
         return replace(found, stats=replace(found.stats, bodies=self.body_count))
 
     def first_contacts(self) -> tuple[Tensor, Tensor]:
-        """Pairs (K, 2) as rows of the held bodies, and toi (K,), of all parts: see `Part.first_contacts`."""
-        return first_contacts_of(self.parts)
+        """Pairs (K, 2) as rows of the held bodies, and toi (K,), of all passes: see `SearchPass.first_contacts`."""
+        return first_contacts_of(self.passes)
 
     def places(self) -> Places:
         """The positions of the work. Synchronises."""
-        kept = self.options.kept
-        lower = [ops.swept_boxes(*part.bodies.swept_spheres, *kept)[0] for part in self.parts]
-        of_pairs = [_corners(corner, _pairs_of(part)) for part, corner in zip(self.parts, lower, strict=True)]
-        of_contacts = [_corners(at, part.find().pairs) for part, at in zip(self.parts, lower, strict=True)]
-        return Places(self.parts[0].bodies.position_t0, torch.cat(of_pairs), torch.cat(of_contacts))
+        distances = self.options.distances
+        lower = [ops.swept_boxes(*each.bodies.swept_spheres, *distances)[0] for each in self.passes]
+        of_pairs = [_corners(corner, _pairs_of(each)) for each, corner in zip(self.passes, lower, strict=True)]
+        of_contacts = [_corners(corner, each.find().pairs) for each, corner in zip(self.passes, lower, strict=True)]
+        return Places(self.passes[0].bodies.position_t0, torch.cat(of_pairs), torch.cat(of_contacts))
 
 
-def _pairs_of(part: Part) -> Tensor:
-    return part.pairs[: part.find().stats.pcs]
+def _pairs_of(search_pass: SearchPass) -> Tensor:
+    return search_pass.pairs[: search_pass.find().stats.pcs]
 
 
 def _corners(lower: Tensor, pairs: Tensor) -> Tensor:
@@ -97,8 +97,8 @@ def search_share(
     own: Columns,
     bodies: MovingBodies,
     complete: Complete,
-    options: Options,
-    estimates: PartEstimates,
+    options: SearchOptions,
+    estimates: PassEstimates,
     *,
     beside: Callable[[Share], T],
     sizes: HaloSizes | None = None,
@@ -106,7 +106,7 @@ def search_share(
     vertices: Vertices | None = None,
     clock: StageClock | None = None,
     discard: Tensor | None = None,
-    slack: float = PART_SLACK,
+    slack: float = PASS_SLACK,
 ) -> tuple[Share, T]:
     """Sends ghosts, and starts the search of this rank's share of pairs.
 
@@ -117,7 +117,7 @@ def search_share(
         complete: given the columns of ghosts, which their owners have validated, those of their scene and motion,
             bitwise equal to what the owner has. Deforming bodies have those of their vertices besides.
         options: of the detection.
-        estimates: of the capacities of parts.
+        estimates: of the capacities of passes.
         beside: given the share, enqueues work that runs concurrently with the search of own pairs.
         sizes: capacities of messages, whose unused rows are padding: see `Halo`. By default ranks agree on exact sizes.
         synchronises: False: sizes are given, for a graph. If messages are sent on the stream, nothing synchronises
@@ -125,7 +125,7 @@ def search_share(
             there is `Share.overflow` or a pose is invalid.
         vertices: of the own bodies, if they deform; sizes are exact then.
         clock: records stage times.
-        discard, slack: see `find_part`.
+        discard, slack: see `find_pass`.
 
     Returns:
         The share, and the result of `beside`.
@@ -134,17 +134,18 @@ def search_share(
         ValueError: if it synchronises: a pose is invalid.
 
     Example:
+        >>> options, estimates = SearchOptions(), PassEstimates()
         >>> share, _ = search_share(
-        ...     decomposition, own, bodies, lambda ghosts: ghosts, Options(), PartEstimates(), beside=lambda share: None
+        ...     decomposition, own, bodies, lambda ghosts: ghosts, options, estimates, beside=lambda share: None
         ... )
         >>> share.contacts
     """
-    comm, device, kept = decomposition.comm, bodies.device, options.kept
+    comm, device, distances = decomposition.comm, bodies.device, options.distances
 
     def stage(name: str) -> AbstractContextManager[None]:
         return nullcontext() if clock is None else clock.stage(name)
 
-    halo = Halo(decomposition, own, bodies, kept, sizes, synchronises)
+    halo = Halo(decomposition, own, bodies, distances, sizes, synchronises)
     with stage("halo"):
         halo.find_boundary()
     side = SideStream(device, options.overlap and comm.size > 1)  # waits for the boundary
@@ -155,7 +156,7 @@ def search_share(
         with stage("halo wait"):
             halo.wait()
     with stage("broad"):
-        own_part = find_part(
+        own_pass = find_pass(
             bodies,
             options.query,
             options.broad_phase,
@@ -166,12 +167,12 @@ def search_share(
             at_any_times=options.at_any_times,
         )
     own_pairs_found = side.mark()
-    own_part.begin()
+    own_pass.begin()
     with side, stage("halo wait"):
         held = halo.wait()
     if comm.size == 1:
         alone = halo.sizes(0, [0]) if synchronises else None
-        share = Share(held, [own_part], None, options, halo.overflow, alone)
+        share = Share(held, [own_pass], None, options, halo.overflow, alone)
         return share, beside(share)
     frame, owner, rank = decomposition.subdomain  # of the neighbours found by the halo
     with side:
@@ -179,7 +180,7 @@ def search_share(
             ghost_vertices = _vertices_of_ghosts(vertices, held, bodies)
             ghosts = _ghosts(held, complete, ghost_vertices, bodies, halo.is_padded)
             near, near_count = ops.near_ghosts(
-                bodies.swept_spheres, halo.reach, ghosts.swept_spheres, *kept, frame, owner, rank
+                bodies.swept_spheres, halo.reach, ghosts.swept_spheres, *distances, frame, owner, rank
             )
             overflow, exact = halo.overflow, None
             if synchronises:
@@ -198,9 +199,9 @@ def search_share(
 
             def owned(pairs: Tensor) -> tuple[Tensor, Tensor]:
                 spheres = at_boundary.swept_spheres
-                return ops.owned_pairs(pairs, rows, held.id, spheres, *kept, halo.reach, frame, owner, rank)
+                return ops.owned_pairs(pairs, rows, held.id, spheres, *distances, halo.reach, frame, owner, rank)
 
-            with_ghosts = find_part(
+            with_ghosts = find_pass(
                 at_boundary,
                 options.query,
                 options.broad_phase,
@@ -215,7 +216,7 @@ def search_share(
             with_ghosts.begin()
         with stage("halo"):
             side.wait(own_pairs_found)
-            share = Share(held, [own_part, with_ghosts], ghosts, options, overflow, exact)
+            share = Share(held, [own_pass, with_ghosts], ghosts, options, overflow, exact)
             made = beside(share)
     side.join()
     return share, made

@@ -87,7 +87,7 @@ class Hub:
                         self._read(key.fileobj)  # type: ignore[arg-type]
                 self._drop_strangers()
                 if self._inquiry is not None:
-                    self._conclude(self._inquiry)
+                    self._decide(self._inquiry)
 
     def _close_all(self) -> None:
         for channel in self._ranks:
@@ -177,8 +177,8 @@ class Hub:
             for member in self._members.values():
                 member.channel.send(about="question", number=self._inquiries)
 
-    def _conclude(self, inquiry: _Inquiry) -> None:
-        """Concludes a query once all ranks have answered, or its time is up: at fault are ranks that finished early,
+    def _decide(self, inquiry: _Inquiry) -> None:
+        """Decides a query once all ranks have answered, or its time is up: at fault are ranks that finished early,
         that do not answer, or, if an exchange timed out, that have not reached it.
         """
         expected = {rank for rank, member in self._members.items() if not member.finished}

@@ -34,7 +34,7 @@ class Halo:
         decomposition: of space.
         own: columns of this rank's own bodies to send, "id" ascending; rows with id -1 may follow.
         bodies: the own bodies and their motion, not validated yet.
-        kept: min_separation and tolerance, as the operators take them.
+        distances: min_separation and tolerance, as the operators take them.
         sizes: capacities of the messages, in which unused rows are padding: ghosts of zeros, with id -1. `send` does
             not synchronise then, if messages are sent on the stream. Default: exact sizes, on which ranks agree.
         synchronises: whether `wait` validates the bodies, and sends ghosts again, with exact sizes, if a rank has more
@@ -46,14 +46,14 @@ class Halo:
         decomposition: Decomposition,
         own: Mapping[str, Tensor],
         bodies: MovingBodies,
-        kept: tuple[float, float],
+        distances: tuple[float, float],
         sizes: HaloSizes | None = None,
         synchronises: bool = True,
     ) -> None:
         self._decomposition, self._own, self._bodies = decomposition, dict(own), bodies
         self._sizes, self._synchronises = sizes, synchronises
         self._is_alone = decomposition.comm.size == 1
-        self._where = bodies.swept_spheres, kept
+        self._where = bodies.swept_spheres, distances
         none_of_them = own["id"][:0]
         #: (N,) uint8: 1 for own bodies that reach cells of other ranks.
         self.reach = none_of_them.to(torch.uint8)
@@ -72,11 +72,11 @@ class Halo:
     def find_boundary(self) -> None:
         """Finds the bodies that other ranks need. Does not synchronise."""
         if not self._is_alone:
-            centres, kept = self._where
+            centres, distances = self._where
             frame, owner, rank = self._decomposition.subdomain
-            self.reach, self._boundary, self._count = ops.boundary_bodies(centres, *kept, frame, owner, rank)
+            self.reach, self._boundary, self._count = ops.boundary_bodies(centres, *distances, frame, owner, rank)
         if self._synchronises:
-            self._found = HostCopy.start(torch.cat([self._count, self._bodies._first_faults()]))
+            self._found = HostCopy.start(torch.cat([self._count, self._bodies._first_invalid_rows()]))
 
     def send(self) -> None:
         """Sends ghosts. With exact sizes this validates the bodies, agrees with other ranks, and synchronises."""
@@ -139,8 +139,8 @@ class Halo:
 
     def _check(self) -> int:
         """Validates the bodies, and returns the number of those at the boundary. Synchronises."""
-        count, *faults = self._found.numpy().tolist()
+        count, *invalid_rows = self._found.numpy().tolist()
         if not self._bodies.checked:
-            self._bodies._raise_faults(faults)
+            self._bodies._raise_invalid(invalid_rows)
             self._bodies.checked = True
         return count

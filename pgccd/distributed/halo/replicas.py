@@ -42,7 +42,7 @@ class Replicas:
 def find_replicas(
     decomposition: Decomposition,
     centres: ops.Centres,
-    kept: tuple[float, float],
+    distances: tuple[float, float],
     rows: Tensor,
     received: Sequence[int] = (),
 ) -> Replicas:
@@ -51,19 +51,19 @@ def find_replicas(
     Args:
         decomposition: of space.
         centres: swept spheres of the bodies.
-        kept: min_separation and tolerance, as the operators take them.
+        distances: min_separation and tolerance, as the operators take them.
         rows: (B,) rows of `centres`; may contain -1 (reaching no rank).
         received: number of these bodies received from each neighbour, if they are ghosts.
     """
     frame, owner, rank = decomposition.subdomain
     ranks = decomposition.neighbours.size
-    return Replicas(*ops.replica_ranks(centres, *kept, frame, owner, rank, rows, received, ranks))
+    return Replicas(*ops.replica_ranks(centres, *distances, frame, owner, rank, rows, received, ranks))
 
 
 def agreed_replicas(
     decomposition: Decomposition,
     centres: ops.Centres,
-    kept: tuple[float, float],
+    distances: tuple[float, float],
     rows: Tensor,
     received: Sequence[int] = (),
 ) -> Replicas:
@@ -73,12 +73,12 @@ def agreed_replicas(
     former = decomposition.neighbours
 
     def attempt(of_neighbours: Sequence[int]) -> Replicas | TooSmall[Sequence[int]]:
-        found = find_replicas(decomposition, centres, kept, rows, of_neighbours)
+        found = find_replicas(decomposition, centres, distances, rows, of_neighbours)
         if not decomposition.is_beyond(found.counts):
             return found
         beyond = rows[found.table[:, -1] > 0]
         whole = decomposition.of_all_ranks().subdomain
-        decomposition.extend(ops.reached_ranks(centres, *kept, whole, beyond, decomposition.comm.size)[1])
+        decomposition.extend(ops.reached_ranks(centres, *distances, whole, beyond, decomposition.comm.size)[1])
         if not received:
             return TooSmall(received)
         return TooSmall(decomposition.neighbours.renumber(former, torch.tensor(received)).tolist())

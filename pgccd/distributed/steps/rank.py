@@ -11,7 +11,7 @@ import torch
 from pgccd.detection.bodies import MovingBodies
 from pgccd.distributed.comm.exchange import Columns
 from pgccd.distributed.comm.interface import Comm
-from pgccd.distributed.detection.options import Options, PartEstimates
+from pgccd.distributed.detection.options import PassEstimates, SearchOptions
 from pgccd.distributed.detection.share import Complete, Share, search_share
 from pgccd.distributed.halo.sizes import HaloSizes
 from pgccd.distributed.halo.vertices import Vertices
@@ -35,7 +35,7 @@ class Rank:
     def __init__(self, decomposition: Decomposition, balance: BalanceOptions) -> None:
         self.comm, self.decomposition = decomposition.comm, decomposition
         self.balancer = Balancer(balance)
-        self.estimates = PartEstimates()
+        self.estimates = PassEstimates()
         # Numbers of bodies in the last step, and the decomposition then.
         self._sizes: HaloSizes | None = None
         self._sizes_of: Decomposition | None = None
@@ -54,7 +54,7 @@ class Rank:
         own: Columns,
         bodies: MovingBodies,
         complete: Complete,
-        options: Options,
+        options: SearchOptions,
         clock: StageClock,
         beside: Callable[[Share], T],
         vertices: Vertices | None = None,

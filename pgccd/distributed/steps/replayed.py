@@ -48,7 +48,7 @@ G = TypeVar("G", bound=TransactionGraph[Any])
 
 
 class RankSteps(ReplayedSteps[M, C, G]):
-    """Steps of a loop on many ranks: replays of one graph per rank, and launch by launch where bodies migrate, space is
+    """Steps of a loop on many ranks: replays of one graph per rank, and eager steps where bodies migrate, space is
     rebalanced, or a graph does not suffice on any rank. All ranks call every method.
 
     Args:
@@ -107,7 +107,7 @@ class RankSteps(ReplayedSteps[M, C, G]):
         with comm.guard.waiting("step", for_gpu=comm.goes_with_the_stream):
             return replay.read(index)
 
-    def _needs_launch(self, step: C, enqueued: int) -> bool:
-        # Bodies migrate, and space is rebalanced, after a step that is launched.
+    def _needs_eager_step(self, step: C, enqueued: int) -> bool:
+        # Bodies migrate, and space is rebalanced, after an eager step.
         is_due = self._rank.is_balance_due(step.index + 2 + enqueued, step.loads)
         return is_due or _MOST_AWAY * step.leaving > step.ghosts

@@ -27,8 +27,8 @@ from pgccd.distributed.steps.rank import can_replay
 from pgccd.distributed.steps.replayed import RankSteps
 from pgccd.distributed.world.columns import columns_to_send, scene_of
 from pgccd.distributed.world.world import World
-from pgccd.motion.faults import LARGEST_COORDINATE
 from pgccd.motion.paths import RigidMotion
+from pgccd.motion.validation import LARGEST_COORDINATE
 from pgccd.runtime.replayed_steps import GRAPH_SLACK
 from pgccd.runtime.transaction import TransactionGraph
 
@@ -92,8 +92,8 @@ class CapturedWorld(RankSteps[WorldStep, _Committed, "_WorldGraph"]):
 
     On GPUs (over NCCL, if there are several) a step is the replay of one CUDA graph per rank, with messages and both
     functions, and the host waits only for the record of the previous step. A step that exceeds a capacity changes
-    nothing, and is repeated launch by launch; so are the last step of `run` and steps in which bodies migrate.
-    Elsewhere all steps run launch by launch. The results are bitwise equal. In a step that will be repeated, or for
+    nothing, and is repeated eagerly; so are the last step of `run` and steps in which bodies migrate.
+    Elsewhere all steps run eagerly. The results are bitwise equal. In a step that will be repeated, or for
     which an error will be raised, contacts may be missing on any rank: `response` is then passed a first toi of 0 for
     every body of every rank.
 
@@ -164,7 +164,7 @@ class CapturedWorld(RankSteps[WorldStep, _Committed, "_WorldGraph"]):
         """Whether there is a graph of the next step."""
         return self._graph is not None
 
-    def _launch(self, index: int) -> WorldStep:
+    def _run_eagerly(self, index: int) -> WorldStep:
         world = self._world
         bodies = _bodies(world.columns, torch.full((1,), index, device=world.id.device))
         motion = self._motion(bodies)
@@ -223,7 +223,7 @@ class _WorldGraph(TransactionGraph[_Committed]):
         self._decomposition, self._sizes = decomposition, sizes
 
     def _step(self) -> Tensor:
-        """(ranks, 4 + 21 * parts) int64: failure flag; numbers of own bodies, ghosts, and leaving bodies; counts."""
+        """(ranks, 4 + 21 * passes) int64: failure flag; numbers of own bodies, ghosts, and leaving bodies; counts."""
         world, columns = self._world, self.columns
         comm, id = world.comm, columns["id"]
         bodies = _bodies(columns, self._index)
@@ -240,15 +240,17 @@ class _WorldGraph(TransactionGraph[_Committed]):
             lambda ghosts: ghosts,
             world.options,
             world._rank.estimates,
-            beside=lambda share: share.parts[-1].first_contacts(),
+            beside=lambda share: share.passes[-1].first_contacts(),
             sizes=self._sizes,
             synchronises=False,
             discard=self._failed,
             slack=GRAPH_SLACK,
         )
-        counts = [part.counts() for part in share.parts]
-        overflow = [flag for of_part in counts for flag in overflow_flags(of_part)]
-        incomplete = torch.cat([self._failed, share.overflow, moving._first_faults()[-1:], *overflow]).sum().reshape(1)
+        counts = [search_pass.counts() for search_pass in share.passes]
+        overflow = [flag for of_pass in counts for flag in overflow_flags(of_pass)]
+        incomplete = (
+            torch.cat([self._failed, share.overflow, moving._first_invalid_rows()[-1:], *overflow]).sum().reshape(1)
+        )
         first, incomplete = _first_toi(share, comm, incomplete)
         new = _with_position(self._response(bodies, motion, first))
         is_body = id >= 0

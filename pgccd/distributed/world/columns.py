@@ -16,9 +16,9 @@ from pgccd.distributed.halo.vertices import vertex_counts
 from pgccd.distributed.launch.agreement import together
 from pgccd.geometry.mesh import MeshSet
 from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
-from pgccd.motion.faults import LARGEST_COORDINATE
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
+from pgccd.motion.validation import LARGEST_COORDINATE
 
 # Optional columns of scenes.
 _OPTIONAL = (*OPTIONAL_COLUMNS, "self_collision")

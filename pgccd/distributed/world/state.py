@@ -14,7 +14,7 @@ from pgccd import arguments
 from pgccd.distributed.checkpoint.partition import partition_header
 from pgccd.distributed.comm.exchange import Columns
 from pgccd.distributed.comm.interface import Comm
-from pgccd.distributed.detection.options import Options
+from pgccd.distributed.detection.options import SearchOptions
 from pgccd.distributed.halo.vertices import Vertices, vertex_counts
 from pgccd.distributed.launch.agreement import require_agreement, together
 from pgccd.distributed.partition.balance import BalanceOptions
@@ -104,7 +104,7 @@ def state_given(
 
 
 def require_alike(
-    comm: Comm, state: WorldState, options: Options, balance: BalanceOptions, path: str, ids_given: bool
+    comm: Comm, state: WorldState, options: SearchOptions, balance: BalanceOptions, path: str, ids_given: bool
 ) -> None:
     """Raises an error, on all ranks, unless options are valid and all parameters equal on all ranks."""
 

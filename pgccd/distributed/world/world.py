@@ -17,11 +17,11 @@ from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.broad import BroadPhase
 from pgccd.detection.checks import Initial
 from pgccd.detection.contacts import CollidingPairs, Contacts
-from pgccd.detection.parts import search_seconds
+from pgccd.detection.passes import search_seconds
 from pgccd.detection.trajectories import TrajectoryContacts
 from pgccd.distributed.comm.exchange import take_rows
 from pgccd.distributed.comm.interface import Alone, Comm
-from pgccd.distributed.detection.options import Options
+from pgccd.distributed.detection.options import SearchOptions
 from pgccd.distributed.detection.report import earliest_for_all, first_toi_of, tell_owners
 from pgccd.distributed.detection.segments import Segments
 from pgccd.distributed.detection.share import Share
@@ -73,7 +73,13 @@ class World(Generic[R]):
         )
 
     def _set(
-        self, comm: Comm, options: Options, balance: BalanceOptions, path: PathKind, state: WorldState, census: Census
+        self,
+        comm: Comm,
+        options: SearchOptions,
+        balance: BalanceOptions,
+        path: PathKind,
+        state: WorldState,
+        census: Census,
     ) -> None:
         self.comm, self.options, self.path = comm, options, path
         self._rank = Rank(Decomposition(comm, state.partition), balance)
@@ -179,7 +185,7 @@ class World(Generic[R]):
             TypeError, ValueError: naming the argument; on all ranks.
         """
         comm, balance = comm or Alone(), balance or BalanceOptions()
-        options = Options(report, min_separation, tolerance, nonzero_toi, broad_phase, overlap, initial)
+        options = SearchOptions(report, min_separation, tolerance, nonzero_toi, broad_phase, overlap, initial)
         optional: dict[str, Any] = {"group": group, "mask": mask, "world": world, "static": static, "margin": margin}
         columns: dict[str, Any] = {"id": id, "mesh_index": mesh_index, "self_collision": self_collision}
         columns |= {"optional": optional, "payload": payload, "vertex_payload": vertex_payload}
@@ -190,7 +196,7 @@ class World(Generic[R]):
 
     @classmethod
     def _begin(
-        cls, comm: Comm, options: Options, balance: BalanceOptions, path: PathKind, state: WorldState
+        cls, comm: Comm, options: SearchOptions, balance: BalanceOptions, path: PathKind, state: WorldState
     ) -> World[Any]:
         ascending = torch.argsort(state.columns["id"])
         vertices = None if state.vertices is None else state.vertices.take(ascending)
@@ -274,7 +280,7 @@ class World(Generic[R]):
             >>> world = pgccd.distributed.World.load("out/world", [rock], comm=comm)
         """
         comm, balance = comm or Alone(), balance or BalanceOptions()
-        options = Options(report, min_separation, tolerance, nonzero_toi, broad_phase, overlap, initial)
+        options = SearchOptions(report, min_separation, tolerance, nonzero_toi, broad_phase, overlap, initial)
         state = load_state(comm, folder, meshes, device, balance)
         require_alike(comm, state, options, balance, path, ids_given=True)
         return cls._begin(comm, options, balance, path, state)
@@ -384,7 +390,7 @@ class World(Generic[R]):
             self._scene = scene_of(self._meshes, self.columns)
         return self._scene
 
-    def _search(self, id: Tensor, scene: Scene, motion: RigidMotion | VertexMotion, options: Options) -> Share:
+    def _search(self, id: Tensor, scene: Scene, motion: RigidMotion | VertexMotion, options: SearchOptions) -> Share:
         if not isinstance(motion, (RigidMotion, VertexMotion)):
             kinds = "a pgccd.RigidMotion, VertexMotion or Trajectory"
             raise TypeError(f"motion: expected {kinds}, got {arguments.describe(motion)}")

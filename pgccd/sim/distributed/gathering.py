@@ -30,7 +30,7 @@ def gather_sample(
     Args:
         comm: between the ranks.
         state: of this rank's robots.
-        step: the last step, if it was launched.
+        step: the last step, if it was eager.
         one_in: robots whose id is a multiple of this are in the sample.
     """
     contacts, ids = None, torch.empty(0, dtype=torch.int64)

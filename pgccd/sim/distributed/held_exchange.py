@@ -66,7 +66,7 @@ class HeldExchange:
         row, before = ghost + held.own_count, sum(route.received[: route.neighbours.rank])
         ghost = torch.where(held.ghosts["id"] < 0, -1, ghost)  # padding
         find = agreed_replicas if capacities is None else find_replicas
-        of_ghosts = find(decomposition, share.ghosts.swept_spheres, share.options.kept, ghost, route.received)
+        of_ghosts = find(decomposition, share.ghosts.swept_spheres, share.options.distances, ghost, route.received)
         exchange = cls(decomposition, peers)
         of_own = held.replicas.renumber(route.neighbours, decomposition.neighbours)
         # By owner, then by id: ghosts are in this order, and own bodies come between them.

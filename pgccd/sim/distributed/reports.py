@@ -26,9 +26,9 @@ class Reports:
     leaving: Rows  #: (ranks,): number of robots in cells of other ranks after it, if it was a replay
 
     @classmethod
-    def of(cls, work: Rows, conclusions: Rows) -> Reports:
-        """`conclusions`: (ranks, k): what each rank of `DistributedSimulation` concludes, in this order."""
-        counted, rest = conclusions[:, :COUNTED], conclusions[:, COUNTED:]
+    def of(cls, work: Rows, summaries: Rows) -> Reports:
+        """`summaries`: (ranks, k): the values of each rank of `DistributedSimulation`, in this order."""
+        counted, rest = summaries[:, :COUNTED], summaries[:, COUNTED:]
         return cls(work, counted, *rest.T)
 
     @property

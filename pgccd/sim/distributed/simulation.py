@@ -12,10 +12,10 @@ from torch import Tensor
 
 from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.broad import BroadPhase
-from pgccd.detection.parts import pairs_of_rounds
+from pgccd.detection.passes import pairs_of_rounds
 from pgccd.distributed.comm.exchange import Columns, take_rows
 from pgccd.distributed.comm.interface import Comm
-from pgccd.distributed.detection.options import Options
+from pgccd.distributed.detection.options import SearchOptions
 from pgccd.distributed.detection.share import Share, search_share
 from pgccd.distributed.halo.migrate import Census, count_leaving, id_range, migrate
 from pgccd.distributed.halo.sizes import HaloSizes
@@ -76,7 +76,7 @@ class CommittedRankStep:
 
 @dataclass
 class RankStep:
-    """One rank's part of a step run launch by launch.
+    """One rank's part of a step run eagerly.
 
     Attributes:
         index: of the step, from 0.
@@ -104,7 +104,7 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
     """The robots of a simulation, distributed over ranks; made by `create`, on all ranks together.
 
     With NCCL, consecutive steps are replays of one CUDA graph per rank, messages included: see `pgccd.sim.replay`.
-    Cells and robots change owners only in steps run launch by launch, so robots that leave their rank's cells migrate
+    Cells and robots change owners only in steps run eagerly, so robots that leave their rank's cells migrate
     later.
 
     Attributes:
@@ -124,7 +124,7 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
         state: RobotState,
         expected: Census,
         balance: BalanceOptions,
-        options: Options,
+        options: SearchOptions,
         graph: bool,
     ) -> None:
         super().__init__(Rank(decomposition, balance), graph)
@@ -155,14 +155,14 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
             partition: the same on all ranks.
             state: of any share of the robots; each robot is on exactly one rank.
             balance: options of load balancing.
-            broad_phase, overlap: see `Options`.
+            broad_phase, overlap: see `SearchOptions`.
             graph: whether steps are replayed, the same on all ranks. Default: if messages are sent on a GPU's stream.
 
         Raises:
             RuntimeError: robots are missing or duplicated.
         """
         query = FIRST_CONTACTS
-        options = Options(
+        options = SearchOptions(
             query.report,
             nonzero_toi=query.nonzero_toi,
             initial=query.initial,
@@ -223,7 +223,7 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
             self._notes[1] = 1
         return self._advance(index, more)
 
-    def _launch(self, index: int) -> RankStep:
+    def _run_eagerly(self, index: int) -> RankStep:
         clock = StageClock()
         with clock.stage("plan"):
             planned = self.model.plan(self._state, index)
@@ -232,12 +232,12 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
 
         def beside(share: Share) -> tuple[HeldExchange, Partners]:
             exchange = HeldExchange.start(share, self._rank.decomposition)
-            return exchange, Partners(self.model, own, share.held.ghosts, pairs_of_rounds(share.parts))
+            return exchange, Partners(self.model, own, share.held.ghosts, pairs_of_rounds(share.passes))
 
         share, (exchange, partners) = self._rank.search(own, bodies, self._complete, self.options, clock, beside)
         after: RobotState = planned
 
-        def conclude(fraction: Tensor) -> Tensor:
+        def summarise(fraction: Tensor) -> Tensor:
             nonlocal after
             fraction = fraction[: len(planned)]
             with clock.stage("respond"):
@@ -246,8 +246,8 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
                 counted = count_step(after, fraction, share.held.id, *share.first_contacts())
                 return torch.cat([counted, self._host_numbers(share)])
 
-        resolved = resolve_collisions(share.parts, len(share.held), partners, self._plan, conclude, clock, exchange)
-        reports = Reports.of(resolved.work, resolved.conclusions)
+        resolved = resolve_collisions(share.passes, len(share.held), partners, self._plan, summarise, clock, exchange)
+        reports = Reports.of(resolved.work, resolved.summaries)
         resolved.learn()  # so that reading the contacts does not synchronise
         moved_cells = 0
         if self._rank.is_balance_due(index + 1, reports.loads):
@@ -301,14 +301,14 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
         def search(planned: RobotState, discard: Tensor) -> Searches:
             return self._search_padded(planned, discard, decomposition, sizes)
 
-        def conclude(searches: Searches, after: RobotState) -> Tensor:
+        def summarise(searches: Searches, after: RobotState) -> Tensor:
             """As in `Reports`: numbers of ghosts and of robots that arrived, whether to stop, and number in cells of
             other ranks.
             """
             ghosts = (searches.id[len(after) :] >= 0).sum()[None]
-            concluded = torch.cat([ghosts, self._notes, count_leaving(decomposition, after.position, after.id)])
+            summary = torch.cat([ghosts, self._notes, count_leaving(decomposition, after.position, after.id)])
             self._notes[:1].zero_()
-            return concluded
+            return summary
 
         return StepGraph(
             self.model,
@@ -318,7 +318,7 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
             self._plan,
             self._recent.to_capture,
             self._recent.usual,
-            conclude,
+            summarise,
             rows,
         )
 
@@ -332,8 +332,8 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
 
         def beside(share: Share) -> tuple[HeldExchange, Partners]:
             exchange = HeldExchange.start(share, decomposition, sizes.common, self.comm.peer_messages)
-            share.parts[-1].first_contacts()
-            return exchange, Partners(self.model, own, share.held.ghosts, pairs_of_rounds(share.parts))
+            share.passes[-1].first_contacts()
+            return exchange, Partners(self.model, own, share.held.ghosts, pairs_of_rounds(share.passes))
 
         share, (exchange, partners) = search_share(
             decomposition,
@@ -348,12 +348,12 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
             discard=discard,
             slack=GRAPH_SLACK,
         )
-        failed = [share.overflow, bodies._first_faults()[-1:], exchange.overflow()]
-        return Searches(share.parts, partners, share.held.id, exchange, failed)
+        failed = [share.overflow, bodies._first_invalid_rows()[-1:], exchange.overflow()]
+        return Searches(share.passes, partners, share.held.id, exchange, failed)
 
     def _largest_message(self, sizes: HaloSizes) -> int:
         """The first toi of bodies that two ranks hold and one number, or what all ranks gather."""
-        gathered = GatheredCounts.width(parts=2) + COUNTED + REPORTED
+        gathered = GatheredCounts.width(passes=2) + COUNTED + REPORTED
         return max([2 + self._recent.to_capture, gathered, 1 + max(sizes.common)])
 
     def _begin(self, graph: StepGraph, index: int) -> None:
@@ -371,7 +371,7 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
         made: CommittedStep | None = self._wait(replay, index)
         if made is None:
             return None
-        reports = Reports.of(made.work, made.conclusions)
+        reports = Reports.of(made.work, made.summaries)
         self._tally(reports)
         return CommittedRankStep(made, reports, bool(reports.stop.any()))
 

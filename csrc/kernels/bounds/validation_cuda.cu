@@ -1,6 +1,6 @@
 #include <stdexcept>
 
-#include "kernels/bounds/faults.h"
+#include "kernels/bounds/validation.h"
 #include "kernels/launch.cuh"
 
 namespace pgccd {
@@ -11,13 +11,13 @@ struct Columns {
   int count;
 };
 
-__global__ void __launch_bounds__(kBlockThreads) find_faults(Columns columns, double* sound, int64_t* first) {
+__global__ void __launch_bounds__(kBlockThreads) find_invalid_rows(Columns columns, double* sound, int64_t* first) {
   wait_for_previous_kernels();
   const int64_t stride = static_cast<int64_t>(gridDim.x) * blockDim.x;
   for (int c = 0; c < columns.count; ++c) {
     const RowColumn& column = columns.column[c];
     for (int64_t row = static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x; row < column.rows; row += stride) {
-      if (!is_faulty(column, row)) continue;
+      if (!is_invalid(column, row)) continue;
       atomicMin(reinterpret_cast<unsigned long long*>(first) + c, static_cast<unsigned long long>(row));
       first[columns.count] = 1;
       if (sound != nullptr) sound[row] = -INFINITY;
@@ -27,9 +27,9 @@ __global__ void __launch_bounds__(kBlockThreads) find_faults(Columns columns, do
 
 }  // namespace
 
-void first_faults(const DeviceContext& context, const std::vector<RowColumn>& columns, const SoundRadii& radii,
-                  int64_t* first) {
-  if (columns.size() > kMostColumns) throw std::runtime_error("first_faults: too many columns");
+void first_invalid_rows(const DeviceContext& context, const std::vector<RowColumn>& columns, const SoundRadii& radii,
+                        int64_t* first) {
+  if (columns.size() > kMostColumns) throw std::runtime_error("first_invalid_rows: too many columns");
   Columns all{};
   all.count = static_cast<int>(columns.size());
   int64_t most = 0;
@@ -42,7 +42,7 @@ void first_faults(const DeviceContext& context, const std::vector<RowColumn>& co
     if (k < radii.count) radii.copy[k] = radii.radius[k];
   });
   if (most == 0) return;
-  launch_kernel(context, find_faults, looping_blocks_for(context, most), kBlockThreads, all, radii.copy, first);
+  launch_kernel(context, find_invalid_rows, looping_blocks_for(context, most), kBlockThreads, all, radii.copy, first);
 }
 
 }  // namespace pgccd

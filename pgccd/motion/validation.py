@@ -1,5 +1,5 @@
-"""Invalid numbers in the columns of motions and scenes: `ops.first_faults` finds them; errors name the column and the
-row, and give the value.
+"""Validation of the numbers in the columns of motions and scenes: `ops.first_invalid_rows` finds invalid ones; errors
+name the column and the row, and give the value.
 """
 
 import math
@@ -18,7 +18,7 @@ UNIT_TOLERANCE = 1e-3
 LARGEST_COORDINATE = arguments.LONGEST
 # Error bounds of sine and cosine are proven up to this angle.
 _LARGEST_TURN = 1e6
-# The operator's numbers (enum RowCheck of csrc/kernels/bounds/faults.h).
+# The operator's numbers (enum RowCheck of csrc/kernels/bounds/validation.h).
 CHECK_NUMBERS = {"magnitude": 0, "unit_length": 1, "length": 2, "range": 3}
 
 
@@ -28,7 +28,7 @@ class Check:
 
     Args:
         kind: a key of `CHECK_NUMBERS`.
-        limit: see `ops.first_faults`.
+        limit: see `ops.first_invalid_rows`.
         expected: the condition in words.
     """
 
@@ -36,7 +36,7 @@ class Check:
     limit: float
     expected: str
 
-    def is_faulty(self, row: Sequence[float]) -> bool:
+    def is_invalid(self, row: Sequence[float]) -> bool:
         """Whether the values of a row violate the condition."""
         length = math.hypot(*row)
         if self.kind == "unit_length":
@@ -47,10 +47,10 @@ class Check:
         return not all(least <= value <= self.limit for value in row)
 
     def found(self, values: Tensor) -> str:
-        """The values of a faulty row in words; empty if they have been overwritten by valid ones since."""
+        """The values of an invalid row in words; empty if they have been overwritten by valid ones since."""
         given = values.tolist()
         row = given if isinstance(given, list) else [given]
-        if not self.is_faulty(row):
+        if not self.is_invalid(row):
             return ""
         length = math.hypot(*row)
         of = {"unit_length": f" of norm {length:.6g}", "length": f" of length {length:.6g}"}.get(self.kind, "")
@@ -104,7 +104,7 @@ def check_of(name: str) -> Check:
 
 
 def checks_of(names: Iterable[str]) -> tuple[list[int], list[float]]:
-    """The `checks` and `limits` of `ops.first_faults` for columns of these names."""
+    """The `checks` and `limits` of `ops.first_invalid_rows` for columns of these names."""
     checks = [check_of(name) for name in names]
     return [CHECK_NUMBERS[check.kind] for check in checks], [check.limit for check in checks]
 
@@ -115,26 +115,26 @@ def columns_checked(columns: Mapping[str, Tensor], row: str, sources: Mapping[st
     return [Checked(name, values, check_of(name), row, source=source.get(name)) for name, values in columns.items()]
 
 
-def first_faults(columns: Sequence[Checked]) -> Tensor:
-    """(F + 1,) int64 on the columns' device: the first faulty row of each of the F columns, or the number of rows; then
-    1 if any row is faulty, else 0. Does not synchronise.
+def first_invalid_rows(columns: Sequence[Checked]) -> Tensor:
+    """(F + 1,) int64 on the columns' device: the first invalid row of each of the F columns, or the number of rows;
+    then 1 if any row is invalid, else 0. Does not synchronise.
     """
     values = [each.values.to(torch.float64) for each in columns]
     values = [column[:, None] if column.dim() == 1 else column for column in values]
     checks = [CHECK_NUMBERS[each.check.kind] for each in columns]
-    return ops.first_faults(values, checks, [each.check.limit for each in columns])
+    return ops.first_invalid_rows(values, checks, [each.check.limit for each in columns])
 
 
 def joined(first: Tensor | None, more: Tensor) -> Tensor:
-    """The `first_faults` of two sets of columns, combined."""
+    """The `first_invalid_rows` of two sets of columns, combined."""
     if first is None:
         return more
     return torch.cat([first[:-1], more[:-1], torch.maximum(first[-1:], more[-1:])])
 
 
 @dataclass
-class Faults:
-    """The meaning of the values of `first_faults`.
+class Validation:
+    """The meaning of the values of `first_invalid_rows`.
 
     Args:
         columns: those checked, in order.
@@ -145,10 +145,10 @@ class Faults:
     radius: Tensor | None = None
 
     def raise_from(self, first: Sequence[int], later: bool = False) -> None:
-        """Raises ValueError for the first fault, if there is one.
+        """Raises ValueError for the first invalid row, if there is one.
 
         Args:
-            first: values of `first_faults`.
+            first: values of `first_invalid_rows`.
             later: whether columns may hold other values by now; the message then states none.
         """
         for column, index in zip(self.columns, first, strict=False):
@@ -160,7 +160,7 @@ class Faults:
             raise ValueError(f"motion: body {body} has {radius} out of range; {limits}")
 
 
-def first_faulty_radius(radius: Tensor) -> Tensor:
+def first_invalid_radius(radius: Tensor) -> Tensor:
     """(2,) int64: the first radius (N,) that is out of range, or N; then 1 if there is one, else 0."""
     # A body may shrink to a point.
     sound = (radius == 0.0) | ((radius >= SMALLEST_RADIUS) & (radius <= LARGEST_RADIUS))

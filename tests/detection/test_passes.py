@@ -1,4 +1,4 @@
-"""A step searched in parts: the contacts of the whole, for any order of rows and any capacity."""
+"""A step searched in passes: the contacts of the whole, for any order of rows and any capacity."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ import pgccd
 from pgccd.detection.capacity import BufferSizes, Capacity
 from pgccd.detection.memory import CapacityEstimate, estimate_of
 from pgccd.detection.padded import counts_of_given
-from pgccd.detection.parts import Part, contacts_of_step, find_part, pairs_of_rounds
+from pgccd.detection.passes import SearchPass, contacts_of_step, find_pass, pairs_of_rounds
 from pgccd.detection.pipeline import detect_moving
 from pgccd.detection.query import Query
 
-parts_module = sys.modules["pgccd.detection.parts"]
+passes_module = sys.modules["pgccd.detection.passes"]
 
 
 class Divided:
-    """A step, its contacts, and two parts of it; the second has the bodies in another order, with some missing.
+    """A step, its contacts, and two passes of it; the second has the bodies in another order, with some missing.
 
     Args:
         padded: whether rows of -1 follow the pairs, so that only the device has their number.
-        estimates: of the parts of an earlier step.
+        estimates: of the passes of an earlier step.
     """
 
     def __init__(
@@ -56,30 +56,30 @@ class Divided:
         place = torch.zeros(count, dtype=torch.int64, device=device)
         place[rows] = torch.arange(len(rows), device=device)
         self.estimates = estimates or (CapacityEstimate(), CapacityEstimate())
-        self.parts = [self._part(bodies, first, padded, None, self.estimates[0])]
-        self.parts.append(self._part(moving(rows.cpu()), place[second], padded, rows, self.estimates[1]))
+        self.passes = [self._pass(bodies, first, padded, None, self.estimates[0])]
+        self.passes.append(self._pass(moving(rows.cpu()), place[second], padded, rows, self.estimates[1]))
 
-    def _part(
+    def _pass(
         self,
         bodies: pgccd.MovingBodies,
         pairs: torch.Tensor,
         padded: bool,
         rows: torch.Tensor | None,
         estimate: CapacityEstimate,
-    ) -> Part:
+    ) -> SearchPass:
         counts = None
         if padded:
             counts = counts_of_given(pairs, torch.tensor([len(pairs)], device=pairs.device))
             pairs = torch.cat([pairs, pairs.new_full((7, 2), -1)])
-        return Part(self.query, bodies, pairs, counts, rows, estimate=estimate)
+        return SearchPass(self.query, bodies, pairs, counts, rows, estimate=estimate)
 
     def check(self) -> None:
-        found = contacts_of_step(self.parts)
+        found = contacts_of_step(self.passes)
         assert len(self.expected) > 5 and found.stats.pcs == self.expected.stats.pcs
         assert found.stats.contacts == len(found) == len(self.expected)
         order = torch.argsort(found.pairs[:, 0] * 10**6 + found.pairs[:, 1], stable=True)
         assert_same(found[order], self.expected)
-        pairs = pairs_of_rounds(self.parts)
+        pairs = pairs_of_rounds(self.passes)
         assert torch.equal(pairs[pairs[:, 0] >= 0].unique(dim=0), self.pairs)
 
 
@@ -88,15 +88,15 @@ class Divided:
 def test_same_contacts(device: torch.device, report: Any, padded: bool) -> None:
     Divided(device, report, padded).check()
     begun = Divided(device, report, padded)
-    for part in begun.parts:
-        part.begin()
+    for search_pass in begun.passes:
+        search_pass.begin()
     begun.check()
     started = Divided(device, report, padded)
-    searches = [part.start() for part in started.parts]
-    for part, search in zip(started.parts, searches, strict=True):
-        part.learn(search.read())
+    searches = [search_pass.start() for search_pass in started.passes]
+    for search_pass, search in zip(started.passes, searches, strict=True):
+        search_pass.learn(search.read())
     started.check()
-    assert not any(part.start() is not search for part, search in zip(started.parts, searches, strict=True))
+    assert all(each.start() is search for each, search in zip(started.passes, searches, strict=True))
 
 
 def test_too_little_capacity(device: torch.device, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -105,13 +105,13 @@ def test_too_little_capacity(device: torch.device, monkeypatch: pytest.MonkeyPat
         little = BufferSizes(0, 1)
         patch.setattr(sys.modules["pgccd.detection.pipeline"], "EXACTLY", little)
         patch.setattr(CapacityEstimate, "capacity", lambda *_: little)
-        counts = [part.start().read() for part in divided.parts]
+        counts = [search_pass.start().read() for search_pass in divided.passes]
     assert all(each.overflow for each in counts)
-    divided.parts[0].learn(counts[0])  # calling learn is optional
+    divided.passes[0].learn(counts[0])  # calling learn is optional
     divided.check()
 
 
-def test_a_part_gets_the_capacity_that_it_needed(device: torch.device) -> None:
+def test_a_pass_gets_the_capacity_that_it_needed(device: torch.device) -> None:
     if device.type == "cpu":
         pytest.skip("capacities are exact on a CPU")
     estimates = None
@@ -119,10 +119,10 @@ def test_a_part_gets_the_capacity_that_it_needed(device: torch.device) -> None:
         divided = Divided(device, "all", True, estimates)
         divided.check()
         estimates = divided.estimates
-        needed = [part.find().stats.needed for part in divided.parts]
-    for part, each in zip(divided.parts, needed, strict=True):
+        needed = [search_pass.find().stats.needed for search_pass in divided.passes]
+    for search_pass, each in zip(divided.passes, needed, strict=True):
         assert each is not None
-        capacity = part.start().capacity
+        capacity = search_pass.start().capacity
         for name in ("leaf_pairs", "candidates", "contacts"):
             assert getattr(each, name) <= getattr(capacity, name) <= 2 * getattr(each, name) + 2 * 4096
 
@@ -130,7 +130,7 @@ def test_a_part_gets_the_capacity_that_it_needed(device: torch.device) -> None:
 def test_what_is_learnt_of_steps() -> None:
     """In proportion to pairs where they are given, otherwise to bodies."""
     divided = Divided(torch.device("cpu"), "first", padded=False)
-    scene, query, pairs = divided.parts[0].bodies.scene, divided.query, divided.pairs
+    scene, query, pairs = divided.passes[0].bodies.scene, divided.query, divided.pairs
     needed = replace(Capacity.of(100_000), launches=9)
     of_bodies, of_pairs = CapacityEstimate(), CapacityEstimate()
     assert of_bodies.capacity(scene, None) == Capacity.of(scene.body_count)
@@ -151,10 +151,10 @@ def test_what_is_learnt_of_steps() -> None:
 @pytest.mark.parametrize("capacity", ["enough", "too little"])
 def test_pairs_found_in_a_fixed_capacity(device: torch.device, capacity: str, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = Divided(device, "first", False)
-    bodies = whole.parts[0].bodies
+    bodies = whole.passes[0].bodies
     capacity = Capacity.of(bodies.scene.body_count).times(4.0) if capacity == "enough" else BufferSizes(3, 1)
-    monkeypatch.setattr(parts_module, "_looks_ahead", lambda _: True)
-    monkeypatch.setattr(parts_module, "expected_capacity", lambda *_, slack: capacity)
+    monkeypatch.setattr(passes_module, "_looks_ahead", lambda _: True)
+    monkeypatch.setattr(passes_module, "expected_capacity", lambda *_, slack: capacity)
 
     def even(pairs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Pairs whose first body is in an even row, compacted to the front."""
@@ -166,12 +166,12 @@ def test_pairs_found_in_a_fixed_capacity(device: torch.device, capacity: str, mo
     for select in (None, even):
         for flag in (None, 0, 1):
             discard = None if flag is None else torch.tensor([flag], device=device)
-            part = find_part(bodies, whole.query, select=select, discard=discard)
-            part.start()
+            search_pass = find_pass(bodies, whole.query, select=select, discard=discard)
+            search_pass.start()
             if flag == 1:  # no pairs, so nothing to search
-                assert bool((part.pairs < 0).all()) and part.start().read().pairs_written == 0
+                assert bool((search_pass.pairs < 0).all()) and search_pass.start().read().pairs_written == 0
                 continue
-            found = part.find()
+            found = search_pass.find()
             expected = whole.expected.pairs
             expected = expected if select is None else expected[expected[:, 0] % 2 == 0]
             assert len(expected) > 2 and torch.equal(found.pairs, expected)

@@ -1,4 +1,4 @@
-// Search for faulty rows of the input.
+// Validation of the rows of the input.
 #pragma once
 
 #include <cmath>
@@ -26,8 +26,8 @@ struct RowColumn {
   double limit;
 };
 
-// NaN is faulty.
-PGCCD_HD bool is_faulty(const RowColumn& column, int64_t row) {
+// NaN is invalid.
+PGCCD_HD bool is_invalid(const RowColumn& column, int64_t row) {
   const double* values = column.values + row * column.width;
   double squared = 0.0;
   bool small = true, positive = true;
@@ -42,7 +42,7 @@ PGCCD_HD bool is_faulty(const RowColumn& column, int64_t row) {
   return !((column.check == RowCheck::kUnitLength ? std::fabs(length - 1.0) : length) <= column.limit);
 }
 
-// A copy of radii of bodies, one a row of each column, with -infinity for bodies with a faulty row: these are absent
+// A copy of radii of bodies, one a row of each column, with -infinity for bodies with an invalid row: these are absent
 // from broad phases.
 struct SoundRadii {
   const double* radius = nullptr;  // (count,)
@@ -50,12 +50,12 @@ struct SoundRadii {
   int64_t count = 0;
 };
 
-// Writes to `first` the first faulty row of each column, or its number of rows; then 1 if any row is faulty, else 0.
-void first_faults(const Executor& executor, const std::vector<RowColumn>& columns, const SoundRadii& radii,
-                  int64_t* first);
+// Writes to `first` the first invalid row of each column, or its number of rows; then 1 if any row is invalid, else 0.
+void first_invalid_rows(const Executor& executor, const std::vector<RowColumn>& columns, const SoundRadii& radii,
+                        int64_t* first);
 // At most kMostColumns.
-void first_faults(const DeviceContext& context, const std::vector<RowColumn>& columns, const SoundRadii& radii,
-                  int64_t* first);
+void first_invalid_rows(const DeviceContext& context, const std::vector<RowColumn>& columns, const SoundRadii& radii,
+                        int64_t* first);
 constexpr int kMostColumns = 8;
 
 }  // namespace pgccd

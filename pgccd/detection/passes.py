@@ -1,4 +1,4 @@
-"""A step whose body pairs are searched in parts, each as soon as it is known, while the rest are still being found."""
+"""A step whose body pairs are searched in several passes, each as soon as its pairs are known."""
 
 import functools
 from collections.abc import Callable, Sequence
@@ -14,26 +14,26 @@ from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.capacity import COUNT_ROWS, BufferSizes, Counts, sizes_of
 from pgccd.detection.contacts import CollidingPairs, Contacts, Stats
 from pgccd.detection.memory import CapacityEstimate
-from pgccd.detection.padded import Search
+from pgccd.detection.padded import PaddedSearch
 from pgccd.detection.pipeline import detect_moving, expected_capacity, start_search
 from pgccd.detection.query import Query
 from pgccd.detection.streaming import join_contacts
 
 # Capacity for pairs found without synchronising, relative to the last step. Larger than for pairs of known number,
 # since the number of pairs may grow too.
-PART_SLACK = 1.5
+PASS_SLACK = 1.5
 
 
 class FoundPairs(NamedTuple):
-    """Body pairs of a part."""
+    """Body pairs of a pass."""
 
     pairs: Tensor  #: (P, 2) int64, to search
-    swept_pairs: Tensor | None  #: (S, 2) int64, see `Part.swept_pairs`
+    swept_pairs: Tensor | None  #: (S, 2) int64, see `SearchPass.swept_pairs`
 
 
 @dataclass(eq=False)
-class Part:
-    """Body pairs of a step that are searched together."""
+class SearchPass:
+    """One pass of a step's search: body pairs that are searched together."""
 
     query: Query
     bodies: MovingBodies  #: of the pairs
@@ -43,12 +43,12 @@ class Part:
     rows: Tensor | None = None  #: (B,) int64: index of each of `bodies` in the step. Default: the same
     capacity: BufferSizes | None = None  #: of the search, chosen before the pairs were known. Default: as estimated
     find_pairs: Callable[[], FoundPairs] | None = None  #: finds all pairs, called if they exceeded the capacity
-    #: Capacity estimate of this part, updated with what the search needed.
+    #: Capacity estimate of this pass, updated with what the search needed.
     estimate: CapacityEstimate = field(default_factory=CapacityEstimate)
     #: (S, 2) int64 rows of `bodies`: all pairs that may collide if bodies are stopped or slowed down on their way,
     #: `pairs` among them. Rows of -1 may follow. Default: not found
     swept_pairs: Tensor | None = None
-    _search: Search | None = field(default=None, init=False)
+    _search: PaddedSearch | None = field(default=None, init=False)
     _counts: Counts | None = field(default=None, init=False)
     _scratch_bytes: int = field(default=0, init=False)
     _contacts: Contacts | CollidingPairs | None = field(default=None, init=False)
@@ -58,7 +58,7 @@ class Part:
         # known.
         self._size = len(self.pairs) if self.capacity is None else self.bodies.scene.body_count
 
-    def start(self) -> Search:
+    def start(self) -> PaddedSearch:
         """Starts the search, unless it has been started. Does not synchronise."""
         if self._search is None:
             self._search = start_search(
@@ -155,7 +155,7 @@ class Part:
 Select = Callable[[Tensor], tuple[Tensor, Tensor]]
 
 
-def find_part(
+def find_pass(
     bodies: MovingBodies,
     query: Query,
     broad_phase: broad.BroadPhase = "auto",
@@ -163,21 +163,21 @@ def find_part(
     discard: Tensor | None = None,
     rows: Tensor | None = None,
     estimate: CapacityEstimate | None = None,
-    slack: float = PART_SLACK,
+    slack: float = PASS_SLACK,
     elsewhere: Tensor | None = None,
     at_any_times: bool = False,
-) -> Part:
-    """The PCS of bodies, as a part. On a GPU it is found in an estimated capacity without synchronising, if the
+) -> SearchPass:
+    """The PCS of bodies, as a pass. On a GPU it is found in an estimated capacity without synchronising, if the
     estimate fits in memory. Then the bodies need not be validated: if they are invalid there are no pairs.
 
     Args:
         bodies, query, broad_phase: as for `detect_moving`.
         select: selects the pairs to search. Default: all.
         discard: (1,) int64 on the device; if nonzero, the result will be discarded and the search returns immediately.
-        rows, estimate: as for `Part`.
+        rows, estimate: as for `SearchPass`.
         slack: capacity relative to what the last step needed.
-        elsewhere: (N,) uint8, nonzero for bodies whose pairs with each other are left out: another part has them.
-        at_any_times: whether to find `Part.swept_pairs` too, by one broad phase.
+        elsewhere: (N,) uint8, nonzero for bodies whose pairs with each other are left out: another pass has them.
+        at_any_times: whether to find `SearchPass.swept_pairs` too, by one broad phase.
 
     Raises:
         ValueError: the bodies are invalid, and the capacity could not be estimated.
@@ -186,7 +186,7 @@ def find_part(
     beyond: dict[str, Any] = {"elsewhere": elsewhere, "at_any_times": at_any_times}
 
     def select_pairs(pairs: Tensor) -> tuple[FoundPairs, Tensor | None]:
-        """The pairs of this part, which may be followed by rows of -1, and the number of those to search, if some were
+        """The pairs of this pass, which may be followed by rows of -1, and the number of those to search, if some were
         left out.
         """
         count = None
@@ -199,7 +199,7 @@ def find_part(
 
     def find_pairs() -> FoundPairs:
         if not bodies.checked:
-            bodies._raise_faults(bodies._first_faults().tolist())
+            bodies._raise_invalid(bodies._first_invalid_rows().tolist())
         chosen = broad.choose(bodies, broad_phase)
         found, count = select_pairs(broad.find_pairs_of_checked(bodies, separation, chosen, tolerance, **beyond))
         return found if count is None else found._replace(pairs=found.pairs[: int(count)])
@@ -208,8 +208,8 @@ def find_part(
     capacity = expected_capacity(bodies, None, estimate, slack=slack) if _looks_ahead(bodies) else None
     if capacity is None:
         found = find_pairs()
-        return Part(query, bodies, found.pairs, rows=rows, swept_pairs=found.swept_pairs)
-    invalid = bodies._first_faults()[-1:]
+        return SearchPass(query, bodies, found.pairs, rows=rows, swept_pairs=found.swept_pairs)
+    invalid = bodies._first_invalid_rows()[-1:]
     if discard is not None:
         invalid = torch.maximum(invalid, discard)
     pairs, counts = broad.find_pairs_padded(bodies, separation, broad_phase, capacity, invalid, tolerance, **beyond)
@@ -217,7 +217,7 @@ def find_part(
     if count is not None:
         row = COUNT_ROWS["pairs_written"]
         counts[row : row + 1].copy_(count)
-    return Part(query, bodies, found.pairs, counts, rows, capacity, find_pairs, estimate, found.swept_pairs)
+    return SearchPass(query, bodies, found.pairs, counts, rows, capacity, find_pairs, estimate, found.swept_pairs)
 
 
 def _counts_of(stats: Stats) -> Tensor:
@@ -234,17 +234,17 @@ def _looks_ahead(bodies: MovingBodies) -> bool:
     return bodies.device.type != "cpu"
 
 
-def contacts_of_step(parts: Sequence[Part]) -> Contacts | CollidingPairs:
-    """The contacts of all parts, concatenated, as rows of the step's bodies. Synchronises."""
-    found = [part.find() for part in parts]
-    if len(parts) == 1:
+def contacts_of_step(passes: Sequence[SearchPass]) -> Contacts | CollidingPairs:
+    """The contacts of all passes, concatenated, as rows of the step's bodies. Synchronises."""
+    found = [each.find() for each in passes]
+    if len(passes) == 1:
         return found[0]
-    return join_contacts(found, [part.in_step(each.pairs) for part, each in zip(parts, found, strict=True)])
+    return join_contacts(found, [each.in_step(own.pairs) for each, own in zip(passes, found, strict=True)])
 
 
-def first_contacts_of(parts: Sequence[Part]) -> tuple[Tensor, Tensor]:
-    """Pairs (K, 2) as rows of the step's bodies and toi (K,) of all parts: see `Part.first_contacts`."""
-    pairs, toi = zip(*(part.first_contacts() for part in parts), strict=True)
+def first_contacts_of(passes: Sequence[SearchPass]) -> tuple[Tensor, Tensor]:
+    """Pairs (K, 2) as rows of the step's bodies and toi (K,) of all passes: see `SearchPass.first_contacts`."""
+    pairs, toi = zip(*(each.first_contacts() for each in passes), strict=True)
     return (pairs[0], toi[0]) if len(pairs) == 1 else (torch.cat(pairs), torch.cat(toi))
 
 
@@ -253,11 +253,11 @@ def search_seconds(found: Counts | Stats) -> dict[str, float]:
     return {stage: found.seconds[stage] for stage in ("traverse", "narrow")}
 
 
-def pairs_of_rounds(parts: Sequence[Part]) -> Tensor:
-    """(P, 2) int64: the pairs of all parts as rows of the step's bodies, `swept_pairs` where these were found; rows of
+def pairs_of_rounds(passes: Sequence[SearchPass]) -> Tensor:
+    """(P, 2) int64: the pairs of all passes as rows of the step's bodies, `swept_pairs` where these were found; rows of
     -1 may be anywhere.
     """
-    found = [part.pairs if part.swept_pairs is None else part.swept_pairs for part in parts]
-    if len(parts) == 1:
+    found = [each.pairs if each.swept_pairs is None else each.swept_pairs for each in passes]
+    if len(passes) == 1:
         return found[0]
-    return torch.cat([part.in_step(pairs) for part, pairs in zip(parts, found, strict=True)])
+    return torch.cat([each.in_step(pairs) for each, pairs in zip(passes, found, strict=True)])

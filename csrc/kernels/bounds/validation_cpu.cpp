@@ -2,12 +2,12 @@
 #include <atomic>
 #include <limits>
 
-#include "kernels/bounds/faults.h"
+#include "kernels/bounds/validation.h"
 
 namespace pgccd {
 
-void first_faults(const Executor& executor, const std::vector<RowColumn>& columns, const SoundRadii& radii,
-                  int64_t* first) {
+void first_invalid_rows(const Executor& executor, const std::vector<RowColumn>& columns, const SoundRadii& radii,
+                        int64_t* first) {
   constexpr int64_t kGrain = 4096;
   std::copy_n(radii.radius, radii.count, radii.copy);
   bool any = false;
@@ -16,7 +16,7 @@ void first_faults(const Executor& executor, const std::vector<RowColumn>& column
     std::atomic<int64_t> least{column.rows};
     parallel_chunks(executor, column.rows, kGrain, [&](int, int64_t begin, int64_t end) {
       for (int64_t row = begin; row < end; ++row) {
-        if (!is_faulty(column, row)) continue;
+        if (!is_invalid(column, row)) continue;
         int64_t seen = least.load();
         while (row < seen && !least.compare_exchange_weak(seen, row)) {
         }
