@@ -25,6 +25,7 @@ from pgccd.resolution.results import PaddedResolution, Resolution
 
 if _TYPE_CHECKING:
     from pgccd import about, baselines, distributed, files, sim, viz
+    from pgccd.viz import show
 
 # Imported on first use: they load more modules than detection needs.
 _LATER = ("about", "baselines", "distributed", "files", "sim", "viz")
@@ -63,6 +64,7 @@ __all__ = [
     "integrate_orientation",
     "narrow",
     "resolve",
+    "show",
     "sim",
     "traverse",
     "viz",
@@ -72,6 +74,8 @@ __all__ = [
 def __getattr__(name: str) -> _Any:
     if name in _LATER:
         return _importlib.import_module(f"pgccd.{name}")
+    if name == "show":
+        return _importlib.import_module("pgccd.viz").show
     raise AttributeError(f"module 'pgccd' has no attribute {name!r}")
 
 

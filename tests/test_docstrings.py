@@ -105,6 +105,8 @@ def namespace(module: str) -> dict[str, Any]:
         names["trimesh"] = importlib.import_module("trimesh")
     if module.startswith(("pgccd.sim", "pgccd.viz", "pgccd.distributed")):
         names |= of_robots()
+    if module.startswith("pgccd.viz"):
+        names |= two_bodies()
     if module in ("pgccd.distributed.world.world", "pgccd.distributed.world.captured"):
         names |= two_bodies() | {"comm": distributed.Alone()}
         payload = {"velocity": names["v"]}

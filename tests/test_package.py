@@ -40,9 +40,10 @@ except AttributeError as error:
 def test_type_checkers_see_what_is_imported_later() -> None:
     tree = ast.parse((ROOT / "pgccd" / "__init__.py").read_text())
     guarded = [node for node in tree.body if isinstance(node, ast.If) and ast.unparse(node.test) == "_TYPE_CHECKING"]
-    (imported,) = guarded[0].body
-    assert isinstance(imported, ast.ImportFrom)
-    names = {alias.name for alias in imported.names}
+    modules, shown = guarded[0].body
+    assert isinstance(modules, ast.ImportFrom) and ast.unparse(shown) == "from pgccd.viz import show"
+    assert pgccd.show is pgccd.viz.show
+    names = {alias.name for alias in modules.names}
     assert names == set(pgccd._LATER) and names <= set(pgccd.__all__) <= set(dir(pgccd))
     assert (ROOT / "pgccd" / "py.typed").is_file()
 

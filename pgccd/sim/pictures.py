@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from pgccd.detection.narrow import Kind
+from pgccd.detection.narrow import Kind, Status
 from pgccd.geometry.mesh import Mesh
 from pgccd.motion.paths import RigidMotion
 from pgccd.sim.model import Model, RobotState
 from pgccd.sim.runner import Run
 from pgccd.sim.step import Step
-from pgccd.viz import Impact, Motion, Snapshot, world_page, world_picture
+from pgccd.viz import Impact, Marks, Motion, Page, Snapshot, world_picture
 from pgccd.viz.raster import placed
 
 # The features of two touching bodies.
@@ -35,6 +35,7 @@ def snapshot_of_state(model: Model, state: RobotState, caption: Sequence[str] = 
     return Snapshot(
         model.meshes.meshes,
         (state.id % len(model.meshes)).cpu().numpy(),
+        state.id.cpu().numpy(),
         state.position.cpu().numpy(),
         state.orientation.cpu().numpy(),
         np.zeros(len(state), dtype=bool),
@@ -50,15 +51,19 @@ def snapshot_of_step(model: Model, step: Step, caption: Sequence[str] = ()) -> S
         caption: a title, then statistics.
 
     Example:
-        >>> pgccd.viz.world_page("model.html", pgccd.sim.snapshot_of_step(model, step))
+        >>> page = pgccd.viz.Page.of_snapshot(pgccd.sim.snapshot_of_step(model, step))
     """
     snapshot = snapshot_of_state(model, step.after, caption)
     snapshot.colliding = step.resolution.stopped.cpu().numpy()
     before, contacts = step.before, step.contacts
-    point = torch.zeros((0, 3)) if contacts.point is None else contacts.point
     columns = [before.position, before.orientation, before.velocity, before.angular_velocity]
-    columns += [step.resolution.fraction, before.id[contacts.pairs], step.toi, point]
-    snapshot.motion = Motion(*(column.cpu().numpy() for column in columns))
+    columns.append(step.resolution.fraction)
+    segment = torch.zeros_like(contacts.pairs[:, 0])
+    marks = [contacts.pairs, segment, step.toi, contacts.point, contacts.normal, contacts.kind, contacts.features]
+    marks.append(contacts.status == Status.UNRESOLVED)
+    position, orientation, velocity, spin, fraction = (column.cpu().numpy() for column in columns)
+    found = Marks(*(column.cpu().numpy() for column in marks))
+    snapshot.motion = Motion(position, orientation, velocity, spin, fraction, found)
     snapshot.impact = _impact(model, step)
     return snapshot
 
@@ -135,4 +140,4 @@ def write_pictures(run: Run, folder: Path) -> dict[str, Path]:
     page, picture = folder / "world.html", folder / "world.png"
     for path in (page, picture):
         path.unlink(missing_ok=True)  # links are not followed
-    return {"page": world_page(page, snapshot), "picture": world_picture(picture, snapshot)}
+    return {"page": Page.of_snapshot(snapshot).save(page), "picture": world_picture(picture, snapshot)}

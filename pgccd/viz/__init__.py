@@ -1,10 +1,12 @@
-"""Pictures of worlds: a PNG by matplotlib, and an interactive web page."""
+"""Interactive pages of scenes, and pictures of worlds: HTML with WebGL, GLB by trimesh, a PNG by matplotlib."""
 
-from pgccd.viz.page import world_page
+from pgccd.viz.animation import Marks
+from pgccd.viz.display import show
+from pgccd.viz.page import Page
 from pgccd.viz.picture import world_picture
 from pgccd.viz.snapshot import Impact, Motion, Snapshot
 
-__all__ = ["Impact", "Motion", "Snapshot", "world_page", "world_picture"]
+__all__ = ["Impact", "Marks", "Motion", "Page", "Snapshot", "show", "world_picture"]
 
 
 def __dir__() -> list[str]:

@@ -1,99 +1,149 @@
-"""A self-contained interactive page of a world: rotate, zoom, play the step, step through the collisions."""
+"""A self-contained interactive page: rotate, zoom, play the motion, step through the collisions."""
 
-import base64
+from __future__ import annotations
+
 import html
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from torch import Tensor
 
+from pgccd import arguments
+from pgccd.detection.contacts import PairColumns
+from pgccd.geometry.scene import Scene
+from pgccd.viz.animation import Animation, AnyMotion, Marks, RigidPaths, animation_of
+from pgccd.viz.content import page_content
 from pgccd.viz.snapshot import Motion, Snapshot
 
 # A WebGL 2 viewer without external scripts; @NAME@ is replaced.
 _TEMPLATE = Path(__file__).with_name("page.html")
-
-# About 80 bytes of text per robot or contact: keeps the page below 5 MB.
-_MOST_ROBOTS = 50_000
-_MOST_CONTACTS = 2_000
+_HEIGHT = 600  # pixels, in a notebook
 
 
-def world_page(path: str | Path, snapshot: Snapshot) -> Path:
-    """Writes a self-contained HTML page, below 5 MB, that shows a world with WebGL.
+class Page:
+    """A self-contained HTML page, below 5 MB, that shows bodies on their paths with WebGL 2. Notebooks display it.
 
-    Of very large worlds it shows the colliding robots and a random sample of the others, and states the fraction shown.
+    From `Page.of` or `Page.of_snapshot`. What does not fit is left out (bodies that do not collide first; waypoints of
+    long trajectories; triangles of large meshes), and the page says so.
 
-    Args:
-        path: of the page.
-        snapshot: such as from `pgccd.sim.snapshot_of_step`.
-
-    Returns:
-        The path.
+    Attributes:
+        html: text of the page.
+        title: its title.
+        notes: sentences below the title.
+        left_out: sentences about what is not on the page, or simplified; empty if everything is.
+        path: the file that `save` has written last, or None.
 
     Example:
-        >>> pgccd.viz.world_page("model.html", pgccd.sim.snapshot_of_step(model, step))
+        >>> page = pgccd.viz.Page.of(scene, motion, hits)
+        >>> page.save("scene.html")
+        PosixPath('scene.html')
     """
-    still = np.zeros_like(snapshot.position)
-    at_rest = Motion(
-        position=snapshot.position,
-        orientation=snapshot.orientation,
-        velocity=still,
-        angular_velocity=still,
-        fraction=np.ones(len(still)),
-        contact_ids=np.zeros((0, 2), dtype=np.int64),
-        contact_toi=np.zeros(0),
-        contact_point=still[:0],
-    )
-    motion = snapshot.motion or at_rest
-    # Colliding robots first, then the others in random order, so that any prefix is a random sample.
-    order = np.random.default_rng(0).permutation(len(snapshot.kind))
-    order = order[np.argsort(~snapshot.colliding[order], kind="stable")][:_MOST_ROBOTS]
-    columns = [motion.position, motion.orientation, motion.velocity, motion.angular_velocity]
-    columns += [motion.fraction[:, None], snapshot.colliding[:, None]]
-    bodies = np.concatenate(columns, axis=1)
-    kinds = []
-    for kind, mesh in enumerate(snapshot.meshes):
-        rows = order[snapshot.kind[order] == kind]
-        kinds.append(
-            {
-                "vertices": _encode(mesh.vertices.numpy(), np.float32),
-                "faces": _encode(mesh.faces.numpy(), np.uint32),
-                "bodies": _encode(bodies[rows], np.float32),
-                "count": len(rows),
-                "colliding": int(snapshot.colliding[rows].sum()),
-            }
-        )
-    # Contacts in the middle of the step first, with motion before and after them.
-    shown = np.argsort(np.abs(motion.contact_toi - 0.5), kind="stable")[:_MOST_CONTACTS]
-    contacts = [
-        {
-            "ids": motion.contact_ids[k].tolist(),
-            "toi": float(motion.contact_toi[k]),
-            "point": motion.contact_point[k].tolist(),
+
+    def __init__(self, animation: Animation, time: float = 0.0) -> None:
+        data, self.left_out = page_content(animation)
+        data["time"] = time
+        data["moving"] = _moves(animation)
+        self.title, self.notes = animation.title, list(animation.notes)
+        self.path: Path | None = None
+        lines = "".join(f"<p>{html.escape(line)}</p>" for line in self.notes)
+        lines += "".join(f'<p class="left-out">{html.escape(line)}</p>' for line in self.left_out)
+        filled = {
+            "@TITLE@": html.escape(self.title),
+            "@FIGURES@": lines,
+            "@DATA@": json.dumps(data, separators=(",", ":")),
         }
-        for k in shown
-    ]
-    data = {
-        "kinds": kinds,
-        "contacts": contacts,
-        "half_extent": snapshot.half_extent.tolist(),
-        "radius": max(mesh.radius for mesh in snapshot.meshes),
-        "robots": len(snapshot.kind),
-        "moving": snapshot.motion is not None,
-    }
-    title, *figures = snapshot.caption or ["Nanorobot world"]
-    filled = {
-        "@TITLE@": html.escape(title),
-        "@FIGURES@": "".join(f"<p>{html.escape(line)}</p>" for line in figures),
-        "@DATA@": json.dumps(data, separators=(",", ":")),
-    }
-    page = _TEMPLATE.read_text(encoding="utf-8")
-    for name, text in filled.items():
-        page = page.replace(name, text)
-    path = Path(path)
-    path.write_text(page, encoding="utf-8")
-    return path
+        page = _TEMPLATE.read_text(encoding="utf-8")
+        for name, text in filled.items():
+            page = page.replace(name, text)
+        self.html = page
+
+    @classmethod
+    def of(
+        cls,
+        scene: Scene,
+        motion: AnyMotion,
+        hits: PairColumns | None = None,
+        *,
+        fraction: Tensor | float | None = None,
+        title: str | None = None,
+    ) -> Page:
+        """A page of any scene. Arguments and errors as for `pgccd.show`.
+
+        Example:
+            >>> pgccd.viz.Page.of(scene, motion, hits).left_out
+            []
+        """
+        animation = animation_of(scene, motion, hits, fraction)
+        animation.title = _title(animation) if title is None else title
+        return cls(animation)
+
+    @classmethod
+    def of_snapshot(cls, snapshot: Snapshot) -> Page:
+        """A page of a world after a step: such as from `pgccd.sim.snapshot_of_step`.
+
+        Example:
+            >>> pgccd.viz.Page.of_snapshot(pgccd.sim.snapshot_of_step(model, step)).save("model.html")
+            PosixPath('model.html')
+        """
+        still = np.zeros_like(snapshot.position)
+        at_rest = Motion(snapshot.position, snapshot.orientation, still, still, None, Marks.none())
+        motion = snapshot.motion or at_rest
+        title, *notes = snapshot.caption or ["Nanorobot world"]
+        half = snapshot.half_extent
+        position = np.stack([motion.position, motion.position + motion.velocity])
+        animation = Animation(
+            shapes=[(mesh.vertices.numpy(), mesh.faces.numpy()) for mesh in snapshot.meshes],
+            shape_index=snapshot.kind,
+            paths=RigidPaths(position, motion.orientation[None], motion.angular_velocity[None]),
+            colliding=snapshot.colliding,
+            static=np.zeros(len(snapshot.kind), dtype=bool),
+            ids=snapshot.ids,
+            marks=motion.contacts,
+            fraction=motion.fraction,
+            box=np.stack([-half, half]),
+            title=title,
+            notes=notes,
+        )
+        return cls(animation, time=1.0)
+
+    def save(self, path: str | Path) -> Path:
+        """Writes the page.
+
+        Args:
+            path: of the HTML file.
+
+        Returns:
+            The path.
+
+        Raises:
+            OSError: it cannot be written.
+        """
+        path = arguments.path(path, "path")
+        path.write_text(self.html, encoding="utf-8")
+        self.path = path
+        return path
+
+    def _repr_html_(self) -> str:
+        content = html.escape(self.html)
+        style = f"width:100%;height:{_HEIGHT}px;border:0"
+        return f'<iframe srcdoc="{content}" style="{style}" allowfullscreen></iframe>'
+
+    def __repr__(self) -> str:
+        where = "" if self.path is None else f", path={str(self.path)!r}"
+        return f"Page({self.title!r}, bytes={len(self.html)}{where})"
 
 
-def _encode(values: np.ndarray, dtype: Any) -> str:
-    return base64.b64encode(np.ascontiguousarray(values, dtype=dtype).tobytes()).decode("ascii")
+def _title(animation: Animation) -> str:
+    bodies = len(animation.shape_index)
+    title = f"{bodies:,} {'body' if bodies == 1 else 'bodies'}"
+    if animation.segment_count > 1:
+        title += f", {animation.segment_count + 1:,} waypoints"
+    contacts = len(animation.marks)
+    return title + (f", {contacts:,} contact{'s' * (contacts != 1)}" if contacts else "")
+
+
+def _moves(animation: Animation) -> bool:
+    paths = animation.paths
+    turns = isinstance(paths, RigidPaths) and bool(paths.rotation.any())
+    return turns or bool((paths.position != paths.position[:1]).any())

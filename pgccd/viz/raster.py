@@ -81,7 +81,9 @@ class Canvas:
 
         a, b, c = np.moveaxis(vertices[faces[inside]], 1, 0)
         normals = np.cross(b - a, c - a)
-        shade = 0.45 + 0.55 * np.maximum(0.0, normals @ self._light) / np.linalg.norm(normals, axis=1)
+        # Faces without area, which rounding turns to the camera, have no normal.
+        size_of_normals = np.maximum(np.linalg.norm(normals, axis=1), 1e-300)
+        shade = 0.45 + 0.55 * np.maximum(0.0, normals @ self._light) / size_of_normals
         distance = (corners[:, 0, 2] - self._near) / (self._far - self._near)
         veil = np.broadcast_to(haze, len(faces))[inside] * np.clip(distance, 0.0, 1.0)
         lit = ((1.0 - veil) * shade)[:, None] * colours[inside] + veil[:, None] * self._background

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pgccd.geometry.mesh import Mesh
+from pgccd.viz.animation import Marks
 
 
 @dataclass
@@ -47,20 +48,16 @@ class Motion:
         orientation: (N, 4) unit quaternions (w, x, y, z) at t0.
         velocity: (N, 3) displacement of the whole step.
         angular_velocity: (N, 3) rotation vector of the whole step, radians.
-        fraction: (N,) part of the step that each body moved.
-        contact_ids: (K, 2) of all contacts.
-        contact_toi: (K,) in [0, 1].
-        contact_point: (K, 3).
+        fraction: (N,) part of its path that each body moved, on x(fraction t); None: all of it.
+        contacts: on the whole paths.
     """
 
     position: np.ndarray
     orientation: np.ndarray
     velocity: np.ndarray
     angular_velocity: np.ndarray
-    fraction: np.ndarray
-    contact_ids: np.ndarray
-    contact_toi: np.ndarray
-    contact_point: np.ndarray
+    fraction: np.ndarray | None
+    contacts: Marks
 
 
 @dataclass
@@ -70,6 +67,7 @@ class Snapshot:
     Attributes:
         meshes: the kinds of bodies.
         kind: (N,) mesh of each body.
+        ids: (N,) of the bodies.
         position: (N, 3).
         orientation: (N, 4) unit quaternions (w, x, y, z).
         colliding: (N,) bool.
@@ -84,6 +82,7 @@ class Snapshot:
 
     meshes: list[Mesh]
     kind: np.ndarray
+    ids: np.ndarray
     position: np.ndarray
     orientation: np.ndarray
     colliding: np.ndarray

@@ -1,0 +1,288 @@
+"""What fits into a page of bounded size: bodies, waypoints, meshes and contacts, as the JSON that `page.html` reads.
+
+Lengths are in page units: world coordinates less `centre`, divided by `scale`, so that float32 holds them.
+"""
+
+from __future__ import annotations
+
+import base64
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from pgccd.viz.animation import Animation, Marks, RigidPaths, VertexPaths, merged_paths
+from pgccd.viz.simplify import level_within, simplified, stored_bytes
+
+# Bytes before their encoding as text, which adds a third: the page stays below 5 MB.
+_MOST_BYTES = 3_550_000
+_MOST_ROWS = 36_000  # of a rigid body in a segment
+_ROW_BYTES, _BODY_BYTES, _CONTACT_BYTES = 52, 21, 79
+_MOST_CONTACTS = 2_000
+# Long trajectories lose waypoints before bodies or triangles, down to this number of segments.
+_LEAST_SEGMENTS = 20
+# A mesh for which less is left is not simplified further; bodies are left out instead.
+_LEAST_MESH_BYTES = 2_000
+
+
+@dataclass
+class _Drawn:
+    """The part of an animation that is on the page: rows of bodies, and meshes by number."""
+
+    rows: np.ndarray
+    mesh_of: np.ndarray  # (rows,)
+    meshes: list[tuple[np.ndarray, np.ndarray]]  # vertices ((W,) V, 3) and faces (F, 3)
+
+
+def page_content(animation: Animation) -> tuple[dict[str, Any], list[str]]:
+    """The data of a page, and what is left out, in sentences."""
+    notes: list[str] = []
+    marks = animation.marks
+    order = np.lexsort((marks.toi, marks.segment))
+    if len(order) > _MOST_CONTACTS:
+        notes.append(f"The first {_MOST_CONTACTS:,} of {len(order):,} contacts are on this page.")
+    marks = marks[order[:_MOST_CONTACTS]]
+    animation, marks, waypoints = _thinned(animation, marks, notes)
+    drawn = _drawn(animation, marks, notes)
+    marks = _between_drawn(animation, marks, drawn, notes)
+    centre, scale = _frame(animation, drawn)
+    data = {
+        "centre": centre.tolist(),
+        "scale": scale,
+        "waypoints": waypoints.tolist(),
+        "bodies": _body_columns(animation, drawn, scale),
+        "contacts": _contact_columns(marks, waypoints, centre, scale),
+        "box": None if animation.box is None else ((animation.box - centre) / scale).tolist(),
+    }
+    paths = animation.paths
+    if isinstance(paths, RigidPaths):
+        data["rigid"] = _rigid(paths, drawn, centre, scale)
+    else:
+        data["deforming"] = _deforming(drawn, centre, scale)
+    return data, notes
+
+
+def _thinned(animation: Animation, marks: Marks, notes: list[str]) -> tuple[Animation, Marks, np.ndarray]:
+    """The animation with fewer waypoints, if it is long; its contacts, by number of segment left; and the waypoints."""
+    paths, segments = animation.paths, animation.segment_count
+    size = paths.position.shape[1]
+    fitting = _MOST_ROWS // max(1, size)
+    if isinstance(paths, VertexPaths):
+        fitting = int(0.8 * _MOST_BYTES) // (12 * max(1, size)) - 1
+    most = max(fitting, _LEAST_SEGMENTS)
+    if segments <= most:
+        return animation, marks, np.arange(segments + 1)
+    # Both ends of the segments of the first contacts, then others at equal distances.
+    touched = np.unique(marks.segment)[: most // 4]
+    chosen = np.linspace(0, segments, most - 2 * len(touched) + 1).round().astype(np.int64)
+    waypoints = np.unique(np.concatenate([chosen, touched, touched + 1]))
+    place = np.searchsorted(waypoints, marks.segment)
+    is_whole = (waypoints[np.minimum(place, len(waypoints) - 2)] == marks.segment) & np.isin(
+        marks.segment + 1, waypoints
+    )
+    notes.append(
+        f"{len(waypoints):,} of {segments + 1:,} waypoints are on this page: between those left out, paths are "
+        "approximate."
+    )
+    if not is_whole.all():
+        notes.append(f"{int((~is_whole).sum()):,} contacts in these parts are left out.")
+    marks = marks[is_whole]
+    marks.segment = place[is_whole]
+    if isinstance(paths, RigidPaths):
+        return replace(animation, paths=merged_paths(paths, waypoints)), marks, waypoints
+    return replace(animation, paths=replace(paths, position=paths.position[waypoints])), marks, waypoints
+
+
+def _order(animation: Animation) -> np.ndarray:
+    """Rows of bodies: colliding ones first; then, with worlds, their worlds, else the others in random order, so that
+    any prefix is a random sample.
+    """
+    count = len(animation.shape_index)
+    order = np.random.default_rng(0).permutation(count)
+    if animation.world is not None:
+        collides = np.zeros(int(animation.world.max(initial=0)) + 1, dtype=bool)
+        collides[animation.world[animation.colliding]] = True
+        order = np.lexsort((animation.world, ~collides[animation.world]))
+    return order[np.argsort(~animation.colliding[order], kind="stable")]
+
+
+def _drawn(animation: Animation, marks: Marks, notes: list[str]) -> _Drawn:
+    paths, order = animation.paths, _order(animation)
+    budget = _MOST_BYTES - _CONTACT_BYTES * len(marks)
+    if isinstance(paths, RigidPaths):
+        order = order[: max(1, _MOST_ROWS // len(paths.orientation))]
+        budget -= (_BODY_BYTES + _ROW_BYTES * len(paths.orientation)) * len(order)
+        names, first = np.unique(animation.shape_index[order], return_index=True)
+        meshes = names[np.argsort(first)]  # in the order of the first body
+        waypoints, pieces = 0, [animation.shapes[k] for k in meshes]
+    else:
+        meshes, waypoints = order, len(paths.position)
+        counts = np.array([len(vertices) for vertices, _ in animation.shapes], dtype=np.int64)
+        pieces = []
+        for body in order:
+            shape = animation.shape_index[body]
+            first = paths.begin[body]
+            pieces.append((paths.position[:, first : first + counts[shape]], animation.shapes[shape][1]))
+    costs = np.array([stored_bytes(vertices.shape[-2], len(faces), waypoints) for vertices, faces in pieces])
+    own = 0 if isinstance(paths, RigidPaths) else _BODY_BYTES
+    least = np.minimum(costs, _LEAST_MESH_BYTES * max(1, waypoints)) + own
+    kept = max(1, int((np.cumsum(least) <= budget).sum()))
+    pieces, meshes = pieces[:kept], meshes[:kept]
+    allowed = level_within(costs[:kept], budget - own * kept)
+    touching = _touching_vertices(animation, marks)
+    simple = []
+    for number in np.flatnonzero(costs[:kept] > allowed):
+        vertices, faces = pieces[number]
+        name = int(meshes[number])
+        first_vertices = vertices if vertices.ndim == 2 else vertices[0]
+        rows, fewer, moved = simplified(first_vertices, faces, allowed, waypoints, touching.get(name, _NONE))
+        pieces[number] = vertices[..., rows, :], fewer
+        simple.append((name, len(faces), len(fewer), moved))
+    what = "Mesh" if isinstance(paths, RigidPaths) else "Body"
+    for name, before, after, moved in simple[:3]:
+        notes.append(
+            f"{what} {name} is drawn with {after:,} of its {before:,} triangles: vertices moved by up to {moved:.2g}."
+        )
+    if len(simple) > 3:
+        notes.append(f"So are {len(simple) - 3:,} others.")
+    place = {int(name): number for number, name in enumerate(meshes)}
+    keys = animation.shape_index[order] if isinstance(paths, RigidPaths) else order
+    mesh_of = np.array([place.get(int(key), -1) for key in keys], dtype=np.int64)
+    order, mesh_of = order[mesh_of >= 0], mesh_of[mesh_of >= 0]
+    if len(order) < len(animation.shape_index):
+        hit = int(animation.colliding.sum())
+        left = int(animation.colliding[order].sum())
+        those = f"{left:,} of the {hit:,} that collide" if left < hit else f"all {hit:,} that collide"
+        notes.append(
+            f"{len(order):,} of {len(animation.shape_index):,} bodies are on this page"
+            + (f", {those} among them." if hit else ".")
+        )
+    by_mesh = np.lexsort((~animation.colliding[order], mesh_of))
+    return _Drawn(order[by_mesh], mesh_of[by_mesh], pieces)
+
+
+_NONE = np.zeros(0, dtype=np.int64)
+
+
+def _touching_vertices(animation: Animation, marks: Marks) -> dict[int, np.ndarray]:
+    """Vertices of the faces and vertices that touch, by number of mesh or, of deforming bodies, of body."""
+    found: dict[int, list[np.ndarray]] = {}
+    for side in range(2):
+        is_face, is_vertex = marks.kind == 1 - side, marks.kind == side  # VF_AB is 0, VF_BA 1
+        is_face |= marks.kind == 4 - side  # EF_AB is 3, EF_BA 4
+        for row in np.flatnonzero(is_face | is_vertex):
+            body, feature = int(marks.bodies[row, side]), int(marks.features[row, side])
+            shape = int(animation.shape_index[body])
+            name = shape if isinstance(animation.paths, RigidPaths) else body
+            of_face = animation.shapes[shape][1][feature] if is_face[row] else np.array([feature])
+            found.setdefault(name, []).append(of_face.astype(np.int64))
+    return {name: np.unique(np.concatenate(vertices)) for name, vertices in found.items()}
+
+
+def _between_drawn(animation: Animation, marks: Marks, drawn: _Drawn, notes: list[str]) -> Marks:
+    """The contacts of which both bodies are drawn, by row of the bodies drawn."""
+    place = np.full(len(animation.shape_index), -1)
+    place[drawn.rows] = np.arange(len(drawn.rows))
+    bodies = place[marks.bodies]
+    shown = (bodies >= 0).all(axis=1)
+    if not shown.all():
+        notes.append(f"{int((~shown).sum()):,} contacts of bodies that are not are left out.")
+    marks = marks[shown]
+    marks.bodies = bodies[shown]
+    return marks
+
+
+def _frame(animation: Animation, drawn: _Drawn) -> tuple[np.ndarray, float]:
+    """Centre (3,) and half the diagonal of a box around all bodies, world frame."""
+    paths = animation.paths
+    lower, upper = [], []
+    if isinstance(paths, RigidPaths):
+        reach = np.array([np.linalg.norm(v, axis=1).max(initial=0.0) for v, _ in drawn.meshes])[drawn.mesh_of]
+        position = paths.position[:, drawn.rows]
+        lower.append((position - reach[:, None]).reshape(-1, 3))
+        upper.append((position + reach[:, None]).reshape(-1, 3))
+    else:
+        lower += [vertices.reshape(-1, 3) for vertices, _ in drawn.meshes]
+        upper = lower
+    if animation.box is not None:
+        lower, upper = [*lower, animation.box], [*upper, animation.box]
+    low, high = np.concatenate(lower), np.concatenate(upper)
+    if len(low) == 0:
+        return np.zeros(3), 1.0
+    bottom, top = low.min(axis=0), high.max(axis=0)
+    return 0.5 * (bottom + top), float(np.linalg.norm(0.5 * (top - bottom))) or 1.0
+
+
+def _rigid(paths: RigidPaths, drawn: _Drawn, centre: np.ndarray, scale: float) -> dict[str, Any]:
+    position = (paths.position - centre) / scale
+    columns = [position[:-1], paths.orientation, np.diff(position, axis=0), paths.rotation]
+    rows = np.concatenate([column[:, drawn.rows] for column in columns], axis=2)
+    kinds = []
+    for number, (vertices, faces) in enumerate(drawn.meshes):
+        members = drawn.mesh_of == number
+        kind = {"count": int(members.sum()), "paths": encoded(rows[:, members], np.float32)}
+        kinds.append(kind | _mesh(vertices / scale, faces))
+    return {"kinds": kinds, "linear": paths.is_linear}
+
+
+def _deforming(drawn: _Drawn, centre: np.ndarray, scale: float) -> dict[str, Any]:
+    pieces = [drawn.meshes[number] for number in drawn.mesh_of]
+    counts = [vertices.shape[1] for vertices, _ in pieces]
+    begin = np.cumsum([0, *counts])[:-1]
+    vertices = np.concatenate([vertices for vertices, _ in pieces], axis=1)
+    faces = np.concatenate([first + faces for first, (_, faces) in zip(begin, pieces, strict=True)])
+    return _mesh((vertices - centre) / scale, faces) | {"vertex_counts": encoded(counts, np.uint32)}
+
+
+def _mesh(vertices: np.ndarray, faces: np.ndarray) -> dict[str, Any]:
+    dtype = np.uint16 if vertices.shape[-2] <= 1 << 16 else np.uint32
+    return {
+        "vertices": encoded(vertices, np.float32),
+        "faces": encoded(faces, dtype),
+        "index_bytes": np.dtype(dtype).itemsize,
+    }
+
+
+def _body_columns(animation: Animation, drawn: _Drawn, scale: float) -> dict[str, Any]:
+    rows = drawn.rows
+    # The radius about the centre of the bounding box, of deforming bodies at the first waypoint.
+    radii = []
+    for vertices, _ in drawn.meshes:
+        at_start = vertices if vertices.ndim == 2 else vertices[0]
+        size = np.ptp(at_start, axis=0) if len(at_start) else np.zeros(3)
+        radii.append(0.5 * float(np.linalg.norm(size)))
+    columns: dict[str, Any] = {
+        "count": len(rows),
+        "of": len(animation.shape_index),
+        "id": encoded(animation.ids[rows], np.uint32),
+        "state": encoded(np.where(animation.colliding[rows], 2, animation.static[rows]), np.uint8),
+        "radius": encoded(np.array(radii)[drawn.mesh_of] / scale if radii else [], np.float32),
+    }
+    if animation.fraction is not None:
+        columns["fraction"] = encoded(animation.fraction[rows], np.float32)
+    if animation.world is not None:
+        columns["world"] = encoded(animation.world[rows], np.int32)
+        columns["worlds"] = np.unique(animation.world[rows])[:1000].tolist()
+    if animation.margin is not None:
+        columns["margin"] = encoded(animation.margin[rows] / scale, np.float32)
+    return columns
+
+
+def _contact_columns(marks: Marks, waypoints: np.ndarray, centre: np.ndarray, scale: float) -> dict[str, Any]:
+    return {
+        "count": len(marks),
+        "bodies": encoded(marks.bodies, np.int32),
+        "segment": encoded(marks.segment, np.int32),
+        "toi": encoded(marks.toi, np.float64),
+        "place": encoded((marks.point - centre) / scale, np.float32),
+        "point": encoded(marks.point, np.float64),
+        "normal": encoded(marks.normal, np.float32),
+        "kind": encoded(marks.kind, np.int8),
+        "features": encoded(marks.features, np.int32),
+        "unresolved": encoded(marks.unresolved, np.uint8),
+    }
+
+
+def encoded(values: Any, dtype: Any) -> str:
+    """The bytes of an array as base64."""
+    return base64.b64encode(np.ascontiguousarray(values, dtype=dtype).tobytes()).decode("ascii")

@@ -1,0 +1,143 @@
+"""`pgccd.show`: a scene, its motion and its contacts as an interactive page, or as a GLB file."""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+import warnings
+import webbrowser
+from pathlib import Path
+from typing import overload
+
+from torch import Tensor
+
+from pgccd import arguments
+from pgccd.detection.contacts import PairColumns
+from pgccd.geometry.scene import Scene
+from pgccd.viz.animation import AnyMotion, animation_of
+from pgccd.viz.glb import write_glb
+from pgccd.viz.page import Page
+
+
+@overload
+def show(
+    scene: Scene,
+    motion: AnyMotion,
+    hits: PairColumns | None = None,
+    path: None = None,
+    *,
+    fraction: Tensor | float | None = None,
+    title: str | None = None,
+) -> Page: ...
+@overload
+def show(
+    scene: Scene,
+    motion: AnyMotion,
+    hits: PairColumns | None = None,
+    *,
+    path: str | os.PathLike[str],
+    fraction: Tensor | float | None = None,
+    title: str | None = None,
+) -> Path: ...
+@overload
+def show(
+    scene: Scene,
+    motion: AnyMotion,
+    hits: PairColumns | None,
+    path: str | os.PathLike[str],
+    *,
+    fraction: Tensor | float | None = None,
+    title: str | None = None,
+) -> Path: ...
+def show(
+    scene: Scene,
+    motion: AnyMotion,
+    hits: PairColumns | None = None,
+    path: str | os.PathLike[str] | None = None,
+    *,
+    fraction: Tensor | float | None = None,
+    title: str | None = None,
+) -> Page | Path:
+    """Shows bodies on their paths, and their contacts, on an interactive page: a time slider, play, next collision.
+
+    A contact's two bodies have two colours; its point and normal (from body i towards j) are drawn, in the world frame.
+    The page is one HTML file without outside scripts, below 5 MB, for browsers with WebGL 2. What does not fit is left
+    out, bodies that do not collide first, or simplified: a UserWarning and the page say what. Detection is not run.
+
+    Args:
+        scene: the bodies.
+        motion: their paths: a `RigidMotion`, `VertexMotion` or `Trajectory`.
+        hits: the result of `pgccd.detect` for this scene and motion, any report, also a padded one. Default: contacts
+            are not shown.
+        path: of a file to write: an HTML page, or, if it ends in ".glb", a model for Blender and other viewers, which
+            has all bodies at the time of the first contact (at the start without one) and needs trimesh. Default: in a
+            notebook the page is displayed by the object returned; elsewhere it is written to a temporary file and
+            opened in the browser, or, without a display, its path is written to standard error.
+        fraction: body i moves on x_i(fraction_i t): a number or (N,) in [0, 1], such as `fraction` of
+            `pgccd.resolve`. A box on the page switches to whole paths, on which contacts are. Not in GLB files.
+        title: of the page. Default: numbers of bodies and contacts.
+
+    Returns:
+        The path, if one was given; else a `pgccd.viz.Page`.
+
+    Raises:
+        TypeError, ValueError: naming the argument; `hits` are not those of this scene or motion.
+        OSError: the file cannot be written.
+        ImportError: `path` ends in ".glb", and trimesh is not installed.
+
+    Example:
+        >>> pgccd.show(scene, motion, hits, path="scene.html")
+        PosixPath('scene.html')
+    """
+    if title is not None and not isinstance(title, str):
+        raise TypeError(f"title: expected a string, got {arguments.describe(title)}")
+    if path is not None:
+        path = require_writable(arguments.path(path, "path"))
+        if path.suffix.lower() == ".glb":
+            return write_glb(path, animation_of(scene, motion, hits))
+    page = Page.of(scene, motion, hits, fraction=fraction, title=title)
+    if page.left_out:
+        warnings.warn(f"show: {' '.join(page.left_out)}", stacklevel=2)
+    if path is not None:
+        return page.save(path)
+    if not _is_in_notebook():
+        _open(page)
+    return page
+
+
+def require_writable(path: Path) -> Path:
+    """The path of a file, if it can be written.
+
+    Raises:
+        OSError: it cannot.
+    """
+    if path.is_dir():
+        raise IsADirectoryError(f"path: {path} is a folder: expected the name of a file")
+    if not path.parent.is_dir():
+        raise FileNotFoundError(f"path: {path} cannot be written: there is no folder {path.parent}")
+    existed = path.exists()
+    try:
+        with path.open("ab"):
+            pass
+    except OSError as error:
+        raise type(error)(f"path: {path} cannot be written: {error.strerror or error}") from error
+    if not existed:
+        path.unlink()
+    return path
+
+
+def _is_in_notebook() -> bool:
+    """Whether the program is run by a Jupyter kernel or the like."""
+    found = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
+    return hasattr(found, "kernel")
+
+
+def _open(page: Page) -> None:
+    """Writes the page to a temporary file and opens it in the browser; without a display, tells where it is."""
+    with tempfile.NamedTemporaryFile(prefix="pgccd-", suffix=".html", delete=False) as file:
+        path = page.save(file.name)
+    has_display = sys.platform in ("darwin", "win32") or "DISPLAY" in os.environ or "WAYLAND_DISPLAY" in os.environ
+    # Without a display, browsers of a terminal would block the program.
+    if not (has_display and webbrowser.open(path.as_uri())):
+        sys.stderr.write(f"pgccd.show: the page is {path}\n")
