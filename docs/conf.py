@@ -11,6 +11,7 @@ from typing import Any
 
 from docutils import nodes
 from sphinx.application import Sphinx
+from sphinx.pycode import ModuleAnalyzer
 from sphinx.util.docutils import SphinxDirective
 
 DOCS = Path(__file__).resolve().parent
@@ -21,11 +22,17 @@ os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (str(ROOT), os.environ.g
 os.environ.setdefault("MPLBACKEND", "agg")
 
 import pgccd  # noqa: E402
+import pgccd.viz.display  # noqa: E402
+
+# Pages of `pgccd.show` stand in a tutorial as in a notebook.
+pgccd.viz.display._is_in_notebook = lambda: True
 
 project, author, release = "pgccd", "the pgccd authors", pgccd.__version__
 extensions = ["sphinx.ext.autodoc", "sphinx.ext.napoleon", "myst_parser", "sphinx_gallery.gen_gallery"]
 html_theme = "furo"
+copyright = "the pgccd authors. Apache-2.0"
 html_title = f"pgccd {release}"
+html_static_path, html_css_files = ["_static"], ["site.css"]
 html_theme_options = {"navigation_with_keys": True}
 exclude_patterns = ["tutorials/*.py", "tutorials/*.ipynb"]
 suppress_warnings = ["config.cache"]  # functions in these settings cannot be pickled, and need not be
@@ -41,7 +48,10 @@ autodoc_typehints = "description"
 autodoc_typehints_description_target = "documented_params"
 autodoc_typehints_format = "short"
 autodoc_member_order = "bysource"
-autodoc_default_options = {"members": True, "inherited-members": True}
+autodoc_default_options = {
+    "members": True,
+    "inherited-members": "object, BaseException, Exception, ValueError, RuntimeError",
+}
 autodoc_class_signature = "mixed"
 python_display_short_literal_types = True
 python_maximum_signature_line_length = 100
@@ -82,16 +92,35 @@ def _escape_bars(app: Sphinx, what: str, name: str, of: Any, options: Any, lines
             )
 
 
+def _analyze_without_overloads(analyzer: ModuleAnalyzer) -> None:
+    """Overloads say for type checkers in up to nine ways what the parameters' descriptions say once."""
+    _analyze(analyzer)
+    analyzer.overloads = {}
+
+
+_analyze = ModuleAnalyzer.analyze
+ModuleAnalyzer.analyze = _analyze_without_overloads  # type: ignore[method-assign]
+
+
 def _link_names(app: Sphinx, doctree: nodes.document, page: str) -> None:
-    """Makes links of the names of the public API that stand in backquotes, such as `Contacts.normal`."""
+    """Makes links of what stands in backquotes: names of the public API, such as `Contacts.normal`, examples and pages,
+    such as `examples/01_two_bodies.py`.
+    """
     known = _known_names(app)
+    main = {*pgccd.__all__, *pgccd.distributed.__all__}
     for literal in list(doctree.findall(nodes.literal)):
         name = literal.astext().removesuffix("()")
         target = known.get(name) or known.get(name.split("(")[0])
+        if "." not in name and name not in main and not page.startswith("reference/"):
+            target = None  # in prose a short name may be that of something else
+        document = re.sub(r"^docs/(.*)\.md$|^examples/(.*)\.py$", lambda m: m[1] or f"tutorials/{m[2]}", name)
+        if document != name and document in app.env.all_docs:
+            target = (document, "")
         if target is None or isinstance(literal.parent, nodes.reference):
             continue
         where, anchor = target
-        address = ("" if where == page else app.builder.get_relative_uri(page, where)) + f"#{anchor}"
+        address = "" if where == page else app.builder.get_relative_uri(page, where)
+        address += f"#{anchor}" if anchor else ""
         link = nodes.reference("", "", internal=True, refuri=address)
         literal.replace_self(link)
         link += literal

@@ -61,11 +61,16 @@ for time, colour, alpha in ((0.0, "tab:blue", 0.25), (1.0, "tab:blue", 0.25), (f
 point, normal = hits.point[0].numpy(), hits.normal[0].numpy()
 axes.quiver(*point, *normal, color="black", lw=2.0)
 axes.scatter(*point, color="black", s=30, depthshade=False)
-axes.set(xlabel="x", ylabel="y", zlabel="z", xlim=(-3.5, 3.5), ylim=(-1.5, 1.5), zlim=(-1.5, 2.0))
-axes.set_box_aspect((7.0, 3.0, 3.5))
+axes.set(xlabel="x", zlabel="z", xlim=(-4.2, 4.2), ylim=(-1.5, 1.5), zlim=(-1.5, 2.0), yticks=[])
+axes.set_box_aspect((8.4, 3.0, 3.5), zoom=1.4)
 axes.view_init(elev=12.0, azim=-75.0)
 axes.set_title(f"first contact at t = {float(hits.toi[0]):.4f}; arrow: normal")
 plt.show()
+
+# %%
+# `pgccd.show` makes an interactive page of any scene: drag to turn it, move the slider, go to the next collision.
+
+pgccd.show(scene, motion, hits)
 
 # %%
 # What is promised: if the two surfaces have a common point at any time of the step, a contact is reported, and its toi

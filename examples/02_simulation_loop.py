@@ -62,6 +62,11 @@ figure.colorbar(right.collections[0], ax=right)
 plt.show()
 
 # %%
+# The last step on a page: on whole paths bodies would meet; on their shortened paths none does.
+
+pgccd.show(scene, motion, pgccd.detect(scene, motion), fraction=resolved.fraction)
+
+# %%
 # What the response should be is for your simulation to decide; `pgccd.resolve` only says how far bodies can go. See
 # :doc:`/how-to/resolve` for the rule and for what is certain, and :doc:`/how-to/cuda_graphs` for loops that do not wait
 # for the GPU.

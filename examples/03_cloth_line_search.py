@@ -124,6 +124,7 @@ def step_of_ipctk(ipctk: Any, x: torch.Tensor, direction: torch.Tensor) -> float
 
 velocity = torch.zeros_like(flat)
 fractions: list[float] = []
+frames = [x]
 for step in range(12):
     start, aim = x[:count], x[:count] + DT * velocity + DT**2 * gravity
     for _ in range(6):
@@ -145,6 +146,7 @@ for step in range(12):
         while fraction > 1e-6 and energy(x + fraction * direction) > before:
             fraction *= 0.5
         x = x + fraction * direction
+    frames.append(x)
     velocity = 0.98 * (x[:count] - start) / DT
     if step % 2 == 1:
         shorter = sum(fraction < 1.0 for fraction in fractions)
@@ -168,3 +170,8 @@ axes.set_box_aspect((2.0, 2.0, 1.3), zoom=1.4)
 axes.view_init(elev=12.0)
 axes.set_axis_off()
 plt.show()
+
+# %%
+# The whole fall; the sheet is drawn on straight lines from one time step to the next.
+
+pgccd.show(scene, pgccd.Trajectory(torch.stack(frames)))

@@ -126,3 +126,8 @@ axes.set(xlabel="x", ylabel="y", zticks=[], title=f"free of contact: the first {
 axes.set_aspect("equal")
 axes.view_init(elev=65.0, azim=-90.0)
 plt.show()
+
+# %%
+# All of it, with the contacts:
+
+pgccd.show(scene, trajectory, hits)

@@ -54,6 +54,8 @@ captured = pgccd.CapturedDetection(
     scene, pgccd.RigidMotion.at_rest(position.view(-1, 3), orientation.view(-1, 4)), nonzero_toi=True
 )
 path, alive = [position[:, 0].clone()], []
+FEW = 12  # environments to be shown
+frames = [(position[:FEW], orientation[:FEW])]
 generator = torch.Generator().manual_seed(1)
 for step in range(STEPS):
     action = torch.randn(ENVIRONMENTS, 3, dtype=torch.float64, generator=generator).to(device)
@@ -68,6 +70,7 @@ for step in range(STEPS):
     )
     flying = flying & (first == torch.inf)
     path.append(position[:, 0].clone())
+    frames.append((position[:FEW], orientation[:FEW]))
     alive.append(int(flying.sum()))
     if step % 8 == 7:
         print(f"step {step + 1}: {alive[-1]} of {ENVIRONMENTS} flyers have met nothing")
@@ -89,6 +92,13 @@ left.set(xlabel="x", ylabel="y", title="all flyers from above; red: where they m
 right.plot(range(1, STEPS + 1), alive)
 right.set(xlabel="step", ylabel="flyers that have met nothing", ylim=(0, ENVIRONMENTS))
 plt.show()
+
+# %%
+# The paths of the first twelve environments on a page, which shows one environment at a time.
+
+few = pgccd.Scene(scene.meshes, scene.mesh_index[: FEW * rows], world=torch.arange(FEW).repeat_interleave(rows))
+places, turns = (torch.stack(column).view(STEPS + 1, FEW * rows, -1) for column in zip(*frames, strict=True))
+pgccd.show(few, pgccd.Trajectory(places, turns))
 
 # %%
 # Many policies need only who collides: ``report="any"`` is the cheapest, and `hits.may_collide("world")` its answer.

@@ -30,6 +30,8 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "argv", ["example.py"])
     # Figures are drawn, and not shown.
     monkeypatch.setenv("MPLBACKEND", "agg")
+    # Pages are made, and neither written nor opened.
+    monkeypatch.setattr("pgccd.viz.display._is_in_notebook", lambda: True)
     # Examples that start ranks of their own import the package from here too.
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     torch.manual_seed(0)
