@@ -38,7 +38,6 @@ exclude_patterns = ["tutorials/*.py", "tutorials/*.ipynb"]
 suppress_warnings = ["config.cache"]  # functions in these settings cannot be pickled, and need not be
 
 # Pages.
-myst_enable_extensions = ["colon_fence", "dollarmath", "deflist"]
 myst_heading_anchors = 4  # as GitHub makes them
 
 # Reference. Backquotes in docstrings are code, as in pages; names of the public API among them become links below.

@@ -1,4 +1,4 @@
-r"""
+"""
 A robot arm's trajectory
 ========================
 
@@ -7,18 +7,18 @@ are tested in one call, and the answer holds for the true path of the arm, not f
 
 The links do not follow the tested arcs: joints turn at constant rates between waypoints, so the origin of each link
 moves along a curve and its rotation is a product of several. But both paths have the same poses at the waypoints, and
-differ little in between. With :math:`s` in [0, 1] along a segment and a point's positions :math:`x(s)` on the true path
-and :math:`y(s)` on the arc, :math:`x - y` is zero at both ends, so
+differ little in between. With s in [0, 1] along a segment and a point's positions x(s) on the true path and y(s) on the
+arc, x - y is zero at both ends, so::
 
-.. math:: |x - y| \le \max |x'' - y''| / 8 \le (\max |x''| + \max |y''|) / 8.
+    |x - y| <= max |x'' - y''| / 8 <= (max |x''| + max |y''|) / 8
 
-*True path.* Joint k turns by :math:`d_k` at a constant rate, so a link turns at the rate :math:`w(s) = \sum d_k a_k(s)`
-over its joints, where :math:`a_k` is the axis, rotated by the joints before it. Joints j and k contribute an
-acceleration of at most :math:`|d_j| |d_k|` times the point's distance from the later of the two; in sum at most
-:math:`(\sum |d_k|)^2 L`, with L the link's reach from the first joint.
+*True path.* Joint k turns by d_k at a constant rate, so a link turns at the rate w(s), the sum of d_k a_k(s) over its
+joints, where a_k is the axis, rotated by the joints before it. Joints j and k contribute an acceleration of at most
+``|d_j| |d_k|`` times the point's distance from the later of the two; in sum at most ``(sum of |d_k|)^2 L``, with L the
+link's reach from the first joint.
 
-*Arc.* The origin moves along a straight line, and the link turns about it by at most :math:`\sum |d_k|`, so
-:math:`|y''| \le (\sum |d_k|)^2 r`, with r the link's reach from its origin.
+*Arc.* The origin moves along a straight line, and the link turns about it by at most the sum of ``|d_k|``, so
+``|y''| <= (sum of |d_k|)^2 r``, with r the link's reach from its origin.
 
 The sum of both, divided by 8, is the link's margin. It is quadratic in the step: doubling the waypoints quarters it.
 """

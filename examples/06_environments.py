@@ -15,7 +15,7 @@ import torch
 import pgccd
 
 device = sys.argv[1] if len(sys.argv) > 1 else "cpu"
-ENVIRONMENTS, OBSTACLES, SIZE, STEPS, DT = 1000, 12, 4.0, 40, 0.1
+ENVIRONMENTS, OBSTACLES, SIZE, STEPS, DT = 1000, 12, 4.0, 25, 0.15
 
 # %%
 # **One scene for all.** Body rows are those of environment 0, then of environment 1, and so on. The column `world` says
@@ -72,7 +72,7 @@ for step in range(STEPS):
     path.append(position[:, 0].clone())
     frames.append((position[:FEW], orientation[:FEW]))
     alive.append(int(flying.sum()))
-    if step % 8 == 7:
+    if step % 5 == 4:
         print(f"step {step + 1}: {alive[-1]} of {ENVIRONMENTS} flyers have met nothing")
 
 # %%
