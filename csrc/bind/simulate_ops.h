@@ -211,7 +211,8 @@ struct SimulateOps {
     given.ghosts = moving_robots(ghosts, "ghosts");
     const int64_t held = given.own.count + given.ghosts.count;
     given.fraction = rows<double>(fraction, "fraction", {held});
-    given.affected = {rows<int64_t>(pairs, "pairs", {kAnySize, 2}), rows<uint8_t>(changed, "changed", {held}), held};
+    given.affected = {rows<int64_t>(pairs, "pairs", {kAnySize, 2}), rows<uint8_t>(changed, "changed", {held}),
+                      given.fraction, held};
     given.pair_count = pairs.size(0);
     STD_TORCH_CHECK(given.pair_count < (int64_t{1} << 31), "pairs: more than 2^31 - 1 rows in one call");
     given.mesh_radius = rows<double>(mesh_radius, "mesh_radius", {kAnySize});

@@ -66,10 +66,10 @@ def simulate_affected_motion(
     mesh_radius: Tensor,
     capacity: int,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """The pairs (capacity, 2), out of (P, 2) padded with -1, with a robot whose `changed` (N + G,) uint8 is 1; mesh,
-    position at t0 and t1, radius, orientation and rotation of their robots, two rows per pair, each for `fraction` (N +
-    G,) of its step; and counts (7,) as of `pairs_padded`. On a GPU the order is not specified, and the call does not
-    synchronise; unused rows are not set.
+    """The pairs (capacity, 2), out of (P, 2) padded with -1, with a robot whose `changed` (N + G,) uint8 is 1 and two
+    different values of `fraction` (N + G,); mesh, position at t0 and t1, radius, orientation and rotation of their
+    robots, two rows per pair, each for its `fraction` of the step; and counts (7,) as of `pairs_padded`. On a GPU the
+    order is not specified, and the call does not synchronise; unused rows are not set.
 
     own, ghosts: the first five columns of a state; rows of ghosts follow those of own robots. mesh_radius (M,): the
     robot with id k has mesh k modulo M.

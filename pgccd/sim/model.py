@@ -270,7 +270,8 @@ class Model:
         pairs: Tensor,
         capacity: int,
     ) -> tuple[Tensor, tuple[Tensor, ...], Tensor]:
-        """Pairs with a robot that has changed, each with its own copies of both robots. Does not synchronise.
+        """Pairs with a robot that has changed, of robots that move by different fractions, each with its own copies of
+        both robots. Does not synchronise.
 
         Args:
             own, ghosts: `moving_columns` of planned states; rows of ghosts follow those of own robots.

@@ -25,6 +25,9 @@ class Partners:
     A robot that is slowed down moves on a part of its path, so two that meet then are near at two times of their whole
     paths, and `pgccd.detection.passes.pairs_of_rounds` has the pair. No broad phase is needed in a round.
 
+    Two that move by the same fraction are not searched: they are at equal times of their whole paths, before the first
+    toi that the search of the whole step has certified (docs/exactness.md, "Rounds of the simulation").
+
     Args:
         model: the rules.
         own, ghosts: `moving_columns` of planned states; rows of ghosts follow those of own robots.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -180,7 +181,7 @@ def test_pairs_alone_move_as_they_do_among_all(seed: int, ghost_count: int) -> N
     assert_same(replace(alone, pairs=among_all.pairs), among_all)
 
 
-def test_affected_pairs_are_those_with_a_robot_that_changed(device: torch.device) -> None:
+def test_affected_pairs_have_a_robot_that_changed_and_different_fractions(device: torch.device) -> None:
     """Their robots move bit for bit as among all, in whatever order they are found."""
     model = Model(ModelConfig(robots=5000, seed=4))
     state = model.plan(model.start(), 0)
@@ -188,11 +189,14 @@ def test_affected_pairs_are_those_with_a_robot_that_changed(device: torch.device
     pairs = torch.randint(5000, (30_000, 2), generator=generator)
     pairs[::7] = -1
     changed = torch.rand(5000, generator=generator) < 0.05
-    fraction = torch.rand(5000, dtype=torch.float64, generator=generator)
+    fraction = 0.2 * torch.randint(1, 6, (5000,), dtype=torch.float64, generator=generator)
     among_all = model.motion(state, fraction)
-    expected = sorted(pairs[(pairs[:, 0] >= 0) & changed[pairs].any(dim=1)].tolist())
+    affected = (pairs[:, 0] >= 0) & changed[pairs].any(dim=1)
+    differ = fraction[pairs[:, 0]] != fraction[pairs[:, 1]]
+    assert int((affected & ~differ).sum()) > 300
+    expected = sorted(pairs[affected & differ].tolist())
     count = len(expected)
-    assert count > 2000
+    assert count > 1500
     columns = [column.to(device) for column in state.moving_columns.values()]
     own, ghosts = ([column[part] for column in columns] for part in (slice(0, 4100), slice(4100, None)))
     marks = changed.to(device).view(torch.uint8)
@@ -220,6 +224,25 @@ def test_affected_pairs_are_those_with_a_robot_that_changed(device: torch.device
     assert nothing[2].tolist() == [0] * 7
     with pytest.raises(RuntimeError, match=r"capacity: expected a number in \[0, 2\^31\), got -1"):
         there.affected_pairs(own, ghosts, fraction.to(device), marks, pairs.to(device), -1)
+
+
+def test_equal_fractions_follow_the_whole_path() -> None:
+    """The ends of shortened paths are within the bound of docs/exactness.md, 12, of the whole path's points."""
+    model = Model(ModelConfig(robots=500, seed=6))
+    state = model.plan(model.start(), 0)
+    fraction = torch.rand(500, dtype=torch.float64, generator=torch.Generator().manual_seed(3))
+    whole, part = model.motion(state), model.motion(state, fraction)
+    unit, largest = Fraction(1, 2**53), Fraction(0)
+    for row, f in enumerate(map(Fraction, fraction.tolist())):
+        start, end = ([Fraction(x) for x in column[row].tolist()] for column in (whole.position_t0, whole.position_t1))
+        at_end = [Fraction(x) for x in part.position_t1[row].tolist()]
+        for x, y, z, v in zip(start, end, at_end, map(Fraction, state.velocity[row].tolist()), strict=True):
+            error, bound = abs(x + f * (y - x) - z), unit * (2 * abs(x) + 3 * abs(v))
+            assert error <= bound
+            largest = max(largest, error / bound)
+        turns = (column[row].tolist() for column in (whole.rotation, part.rotation))
+        assert all(abs(f * Fraction(w) - Fraction(r)) <= unit * abs(Fraction(w)) for w, r in zip(*turns, strict=True))
+    assert largest > Fraction(1, 4)  # the bound is not far above what occurs
 
 
 def test_slowing_all_down(device: torch.device) -> None:

@@ -138,7 +138,8 @@ def test_operators_have_consistent_fake_kernels() -> None:
     pairs, changed = torch.tensor([[0, 1], [1, 4], [-1, -1]]), torch.ones(5, dtype=torch.uint8)
     empty = [column[:0] for column in columns[:5]]
     # All rows: those past the last pair are undefined.
-    moving = (columns[:5], empty, half, changed, pairs, model.meshes.radius, 2)
+    apart = 0.1 * torch.arange(1.0, 6.0, dtype=torch.float64)
+    moving = (columns[:5], empty, apart, changed, pairs, model.meshes.radius, 2)
     torch.library.opcheck(torch.ops.pgccd.simulate_affected_motion, moving)
     plan = [state.velocity, state.angular_velocity, state.target, state.stay_until]
     discard = torch.zeros(1, dtype=torch.int64)

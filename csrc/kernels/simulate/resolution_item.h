@@ -62,10 +62,13 @@ struct FirstToiInput {
   PGCCD_HD int64_t robot(int64_t copy) const { return robots != nullptr ? robots[copy] : copy; }
 };
 
-// Pairs with at least one changed robot.
+// Pairs with at least one changed robot, of robots that move by different fractions. Two that move by the same fraction
+// are at equal times of their whole paths, where the search of the whole step has certified them until its first toi,
+// beyond the fraction of both.
 struct AffectedPairs {
   const int64_t* pairs;    // (pair_count, 2), padding negative
   const uint8_t* changed;  // (robot_count,)
+  const double* fraction;  // (robot_count,)
   int64_t robot_count;
 
   PGCCD_HD bool is_sound(int64_t pair) const {
@@ -75,7 +78,9 @@ struct AffectedPairs {
 
   PGCCD_HD bool operator()(int64_t pair) const {
     const int64_t i = pairs[2 * pair];
-    return i >= 0 && (changed[i] | changed[pairs[2 * pair + 1]]) != 0;
+    if (i < 0) return false;
+    const int64_t j = pairs[2 * pair + 1];
+    return (changed[i] | changed[j]) != 0 && fraction[i] != fraction[j];
   }
 };
 
