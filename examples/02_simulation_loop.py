@@ -52,7 +52,7 @@ for step in range(20):
 # `Resolution.stopped_by` says which body stopped each one, and `Resolution.touching_at_start` lists pairs that were in
 # contact before the step; here there are none, because every step ends without contact.
 
-figure, (left, right) = plt.subplots(1, 2, figsize=(10.0, 4.2))
+figure, (left, right) = plt.subplots(1, 2, figsize=(11.0, 4.2), layout="constrained")
 left.bar(range(len(turning)), turning, color="tab:orange")
 left.set(xlabel="step", ylabel="bodies that turn round", xticks=range(0, len(turning), 5))
 x, y, _ = position.cpu().T

@@ -10,7 +10,7 @@ The same program runs on any number of ranks, and its results are equal to the l
     python examples/04_many_ranks.py
     torchrun --nproc-per-node 4 examples/04_many_ranks.py        # add "cuda" for one GPU per rank
 
-Without torchrun the program below runs on one rank, and then starts itself again on four ranks on this machine's CPU,
+Without a launcher the program below runs on one rank, and then starts itself again on four ranks on this machine's CPU,
 which talk through Gloo, so that you can compare the lines.
 """
 
@@ -97,7 +97,7 @@ if rank == 0:
 if rank == 0 and len(sys.argv) > 2:
     np.save(sys.argv[2], owner)
 
-if "RANK" not in os.environ and name == "cpu":
+if distributed.find_placement().launcher == "none" and name == "cpu":
     with tempfile.TemporaryDirectory() as folder:
         program = [sys.argv[0], "cpu", f"{folder}/owners.npy"]
         command = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node", "4", *program]

@@ -17,7 +17,8 @@ import trimesh
 
 import pgccd
 
-folder = Path(tempfile.mkdtemp())
+temporary = tempfile.TemporaryDirectory()
+folder = Path(temporary.name)
 
 # %%
 # **Seams.** Formats that store one texture coordinate or normal per vertex, such as glTF, and STL, which has no shared
@@ -38,7 +39,9 @@ print(f"vertex 5 is row {int(welded.source_vertex[5])} of the file")
 # **Units.** A file does not say its unit, or says it where no reader looks. `Mesh.radius` shows at once what came:
 # about 35 for a bolt in millimetres where metres were meant. Scale the coordinates before you make the mesh.
 
-trimesh.creation.cylinder(radius=4.0, height=70.0).export(folder / "bolt.ply")
+cylinder = trimesh.creation.cylinder(radius=4.0, height=70.0)
+cylinder.apply_translation([0.0, 0.0, 35.0])  # it stands on z = 0
+cylinder.export(folder / "bolt.ply")
 bolt = pgccd.Mesh.load(folder / "bolt.ply")
 print(f"as in the file: radius {bolt.radius:.3f}")
 in_metres = pgccd.Mesh(0.001 * bolt.vertices, bolt.faces)
