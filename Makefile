@@ -10,6 +10,8 @@ CUDA_SETTING := build/pgccd-cuda-$(or $(PGCCD_CUDA),auto)
 # Includes folders, so that a removed source triggers a rebuild too.
 EXTENSION_INPUTS := setup.py $(wildcard build_support/*.py) $(shell find csrc)
 CPP_FILES = find csrc -name '*.h' -o -name '*.cpp' -o -name '*.cuh' -o -name '*.cu'
+# Without cached bytecode, importing torch takes twice as long in each of the many processes of ranks and tests.
+unexport PYTHONDONTWRITEBYTECODE
 # xdist may be missing without a network.
 PARALLEL = $$($(VENV_PYTHON) -c "import xdist" 2>/dev/null && echo "-n 2")
 
@@ -20,7 +22,7 @@ SANITIZED = tests/kernels/test_rows.py tests/detection/test_search_in_parts.py t
 	tests/detection/test_device_share.py tests/sim tests/distributed/test_subdomain.py \
 	--ignore tests/sim/test_captured.py -m "cuda and not slow" -k "not graph and not compile and not one_wait"
 
-.PHONY: demo test docs sanitize lint bench bench-peers build clean
+.PHONY: demo test docs sanitize lint bench bench-peers build wheel clean
 
 demo: $(EXTENSION)
 	$(VENV_PYTHON) -m pgccd simulate --robots 10000 --steps 20 --world random --out out/demo --overwrite
@@ -57,8 +59,11 @@ build: $(ENVIRONMENT)
 	$(VENV_PYTHON) setup.py --quiet build_ext --inplace
 	@touch $(EXTENSION)
 
+wheel: $(ENVIRONMENT)
+	$(VENV_PYTHON) -m build_support.wheel
+
 clean:
-	rm -rf build out docs/tutorials pgccd/*.so *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	rm -rf build dist out docs/tutorials pgccd/*.so *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -not -path './.venv/*' -prune -exec rm -rf {} +
 
 $(CUDA_SETTING):

@@ -1,1 +1,1 @@
-"""Helpers of setup.py and bootstrap.py; not part of the installed package."""
+"""How pgccd is compiled and packaged; not part of the installed package."""

@@ -16,6 +16,12 @@ class CudaToolkit(NamedTuple):
     home: Path
     version: str
 
+    @property
+    def compresses(self) -> bool:
+        """Whether nvcc can be asked to compress device code for size, at the cost of time when it is first loaded."""
+        major, minor = self.version.split(".")
+        return (int(major), int(minor)) >= (12, 8)
+
 
 def find_cuda_toolkit(torch_cuda_version: str) -> CudaToolkit | None:
     """The first toolkit with torch's major CUDA version (torch refuses to build with another)."""
@@ -43,23 +49,15 @@ def architecture_flags(architectures: str) -> list[str]:
     return flags
 
 
-def cudart_link_directory(toolkit: CudaToolkit, scratch: Path) -> Path:
-    """The folder in which the linker finds `libcudart.so`.
-
-    The PyPI wheels contain only the versioned name, `libcudart.so.13`; for them it creates a link in `scratch`.
-    """
-    library_directories = [toolkit.home / name for name in ("lib64", "lib")]
-    for directory in library_directories:
-        if (directory / "libcudart.so").exists():
-            return directory
-    versioned = sorted(path for directory in library_directories for path in directory.glob("libcudart.so.*"))
-    if not versioned:
-        raise FileNotFoundError(f"no libcudart.so under {toolkit.home}: install the CUDA runtime, or set PGCCD_CUDA=0")
-    scratch.mkdir(parents=True, exist_ok=True)
-    link = scratch / "libcudart.so"
-    link.unlink(missing_ok=True)
-    link.symlink_to(versioned[-1])
-    return scratch
+def static_runtime_directory(toolkit: CudaToolkit) -> Path:
+    """The folder of the CUDA runtime that is linked statically."""
+    # An installed toolkit, a conda environment or the PyPI wheels, and a cross-compiling toolkit.
+    for directory in ("lib64", "lib", "targets/x86_64-linux/lib"):
+        if (toolkit.home / directory / "libcudart_static.a").exists():
+            return toolkit.home / directory
+    raise FileNotFoundError(
+        f"no libcudart_static.a under {toolkit.home}: install the CUDA runtime, or set PGCCD_CUDA=0"
+    )
 
 
 def _candidate_homes() -> Iterator[Path]:

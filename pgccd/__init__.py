@@ -4,6 +4,7 @@ import importlib as _importlib
 from typing import TYPE_CHECKING as _TYPE_CHECKING
 from typing import Any as _Any
 
+from pgccd import _requirements as _requirements  # first: its errors say what is missing
 from pgccd._host import build_information as _build_information
 from pgccd.detection import broad, narrow, traverse
 from pgccd.detection.bodies import MovingBodies

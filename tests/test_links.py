@@ -8,7 +8,10 @@ from pathlib import Path
 import pytest
 from support.documents import ROOT
 
-PAGES = [ROOT / name for name in ("README.md", "CHANGELOG.md", "bench/README.md", "csrc/README.md")]
+PAGES = [
+    ROOT / name
+    for name in ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md", "bench/README.md", "csrc/README.md")
+]
 PAGES += sorted((ROOT / "docs").rglob("*.md"))
 FOLDERS = ("bench", "csrc", "docs", "examples", "pgccd", "tests")
 

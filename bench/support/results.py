@@ -140,7 +140,7 @@ def _commit() -> str:
         git = ["git", "-C", str(Path(pgccd.__file__).parents[1])]
         commit = subprocess.run([*git, "rev-parse", "--short=12", "HEAD"], capture_output=True, text=True, check=True)
         # Only compiled or imported files: results may be written while documentation is being edited.
-        status = [*git, "status", "--porcelain", "--", "csrc", "pgccd", "setup.py"]
+        status = [*git, "status", "--porcelain", "--", "csrc", "pgccd", "setup.py", "build_support"]
         changed = subprocess.run(status, capture_output=True, text=True, check=True).stdout
     except (OSError, subprocess.CalledProcessError):
         return "unknown"

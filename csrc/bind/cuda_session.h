@@ -13,6 +13,9 @@
 #include "bind/thread_state.h"
 #include "kernels/device_context.h"
 
+// Null in a torch without CUDA, which can load this library too.
+#pragma weak aoti_torch_get_current_cuda_stream
+
 namespace pgccd::bind {
 
 // Freed with the operator: torch's allocator is stream-ordered, so memory used by kernels in flight is not reused
@@ -65,6 +68,7 @@ class CudaSession {
 
  private:
   static CUstream_st* current_stream(const torch::stable::Tensor& tensor) {
+    STD_TORCH_CHECK(aoti_torch_get_current_cuda_stream != nullptr, "pgccd: a CUDA tensor of a torch without CUDA");
     void* stream = nullptr;
     TORCH_ERROR_CODE_CHECK(aoti_torch_get_current_cuda_stream(tensor.get_device_index(), &stream));
     return static_cast<CUstream_st*>(stream);

@@ -23,8 +23,19 @@ __host__ __device__
 
 namespace pgccd {
 
+// The versions, if the driver is too old for the CUDA runtime that is linked statically; torch's own may be older.
+inline std::string versions_of(cudaError_t error) {
+  if (error != cudaErrorInsufficientDriver) return "";
+  int driver = 0;
+  cudaDriverGetVersion(&driver);
+  const auto text = [](int v) { return std::to_string(v / 1000) + "." + std::to_string(v % 1000 / 10); };
+  return ": pgccd was built with CUDA " + text(CUDART_VERSION) + ", the driver of the GPU supports CUDA " +
+         text(driver) + "; install a newer driver, or use tensors on the CPU";
+}
+
 inline void check_cuda(cudaError_t result, const char* what) {
-  if (result != cudaSuccess) throw std::runtime_error(std::string(what) + ": " + cudaGetErrorString(result));
+  if (result != cudaSuccess)
+    throw std::runtime_error(std::string(what) + ": " + cudaGetErrorString(result) + versions_of(result));
 }
 
 template <class T>

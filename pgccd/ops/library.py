@@ -7,7 +7,12 @@ from typing import Any, ParamSpec, TypeVar
 import torch
 from torch import Tensor
 
-import pgccd._C as _C  # importing it registers the operators
+from pgccd._requirements import operators_do_not_load
+
+try:
+    import pgccd._C as _C  # importing it registers the operators
+except ImportError as error:
+    raise operators_do_not_load(error) from error
 
 operators = torch.ops.pgccd
 

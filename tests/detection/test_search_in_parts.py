@@ -15,7 +15,7 @@ import torch
 from support.crowds import crowds
 from support.deforming import Ends, crumpled, motion_of
 from support.host_program import run_program
-from support.same_bits import assert_same
+from support.same_bits import assert_same, first_rows
 
 import pgccd
 from pgccd import narrow
@@ -31,20 +31,6 @@ CUBE_FACES = np.array(
 )
 
 FIRST: list[narrow.Report] = [report for report in narrow.REPORTS if report != "all"]
-
-
-def first_rows(every: pgccd.Contacts, report: narrow.Report) -> torch.Tensor:
-    """Rows of the first contact of each pair, or of the earliest one, among all."""
-    assert every.toi is not None
-    pairs, toi = every.pairs.cpu().numpy(), every.toi.cpu().numpy()
-    # All contacts of a pair are sorted by kind and features.
-    order = np.lexsort((np.arange(len(toi)), toi, pairs[:, 1], pairs[:, 0]))
-    is_first = np.ones(len(order), bool)
-    is_first[1:] = (np.diff(pairs[order], axis=0) != 0).any(axis=1)
-    rows = np.sort(order[is_first])
-    if report == "earliest":
-        rows = rows[np.argmin(toi[rows])][None] if len(rows) else rows
-    return torch.from_numpy(rows).to(every.pairs.device)
 
 
 def assert_parts_agree(
@@ -233,3 +219,25 @@ int main() {
 
 def test_leaves_do_not_meet_before_their_time(tmp_path: Path) -> None:
     run_program(TIMES, tmp_path)
+
+
+@pytest.mark.parametrize("separation", [0.0, 0.3])
+@pytest.mark.parametrize("depth", [-0.01, 0.0, 0.4])
+@pytest.mark.parametrize("report", FIRST)
+def test_one_contact_of_many_at_the_start(
+    report: narrow.Report, depth: float, separation: float, device: torch.device
+) -> None:
+    """Thousands of features touch at t = 0, or stay a little apart: it is the first one, found by few of them."""
+    sphere = pgccd.Mesh.sphere(1.0)
+    start = torch.tensor([[0.0, 0.0, 0.0], [2.0 - depth, 0.05, 0.02], [-0.5, 0.1, -1.8]], dtype=torch.float64)
+    unit = torch.tensor([[1.0, 0.0, 0.0, 0.0]] * 3, dtype=torch.float64)
+    step = torch.tensor([[0.02, 0.0, 0.0], [0.0, 0.01, 0.0], [0.0, 0.0, 0.0]], dtype=torch.float64)
+    scene = pgccd.Scene([sphere], [0, 0, 0], device=device)
+    motion = pgccd.RigidMotion(start, unit, start + step, unit).to(device)
+    found, every = (pgccd.detect(scene, motion, each, separation) for each in (report, "all"))
+    expected = every[first_rows(every, report)]
+    assert torch.equal(found.pairs, expected.pairs)
+    if isinstance(found, pgccd.Contacts):
+        assert_same(found, expected)
+    if separation > 0.0 and device.type == "cpu":
+        assert every.stats.candidates > 10_000 and found.stats.candidates < every.stats.candidates / 3

@@ -25,24 +25,45 @@ def test_other_names_are_refused(bad: str) -> None:
         cuda_toolkit.architecture_flags(bad)
 
 
+def load_bootstrap() -> Any:
+    spec = importlib.util.spec_from_file_location("bootstrap", Path(__file__).resolve().parents[2] / "bootstrap.py")
+    assert spec is not None and spec.loader is not None
+    bootstrap = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(bootstrap)
+    return bootstrap
+
+
+@pytest.mark.parametrize("is_reachable", [False, True])
+def test_torch_is_never_replaced(is_reachable: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bootstrap = load_bootstrap()
+    installed: list[str] = []
+    monkeypatch.setattr(bootstrap, "VENV", tmp_path)
+    monkeypatch.setattr(bootstrap, "ask", lambda _python, _program, *requirements: list(requirements))
+    monkeypatch.setattr(bootstrap, "index_is_reachable", lambda: is_reachable)
+    monkeypatch.setattr(bootstrap, "install", lambda _what, *arguments: installed.extend(arguments))
+    monkeypatch.setattr(bootstrap, "say", lambda _: None)
+    bootstrap.install_packages("2.13.0+cu130")
+    assert ("numpy>=1.26" in installed) == ("pytest>=8" in installed) == is_reachable
+    assert not any(name.startswith("torch>") or name == "torch" for name in installed)
+    if is_reachable:
+        assert installed[installed.index("--constraint") + 1] == str(tmp_path / "constraints.txt")
+        assert (tmp_path / "constraints.txt").read_text() == "torch==2.13.0+cu130\n"
+
+
 @pytest.mark.parametrize("wish", [None, "auto", "0", "1"])
 @pytest.mark.parametrize("gpus", [0, 1])
 @pytest.mark.parametrize("home", [None, "/opt/cuda"])
 def test_compiler_is_downloaded_only_where_it_is_needed(
     wish: str | None, gpus: int, home: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    spec = importlib.util.spec_from_file_location("bootstrap", Path(__file__).resolve().parents[2] / "bootstrap.py")
-    assert spec is not None and spec.loader is not None
-    bootstrap = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(bootstrap)
+    bootstrap = load_bootstrap()
     commands: list[Any] = []
     monkeypatch.setattr(bootstrap, "ask", lambda *_: home)
-    monkeypatch.setattr(bootstrap, "run", lambda what, *_, **__: commands.append(what) or True)
+    monkeypatch.setattr(bootstrap, "install", lambda what, *_: commands.append(what) or True)
     monkeypatch.setattr(bootstrap, "say", lambda _: None)
     monkeypatch.setattr(bootstrap, "install_torch", lambda: {"version": "2.13.0", "cuda": "13.0", "gpus": gpus})
-    for name in ("create_environment", "install_packages", "install_project", "cache_bytecode"):
-        monkeypatch.setattr(bootstrap, name, lambda: None)
-    monkeypatch.setattr(bootstrap, "LOG", tmp_path / "build" / "log")
+    monkeypatch.setattr(bootstrap, "create_environment", lambda: None)
+    monkeypatch.setattr(bootstrap, "install_packages", lambda _: None)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(bootstrap, "ROOT", tmp_path)
     monkeypatch.setenv("PATH", "/usr/bin")
@@ -51,4 +72,4 @@ def test_compiler_is_downloaded_only_where_it_is_needed(
         monkeypatch.setenv("PGCCD_CUDA", wish)
     bootstrap.main()
     expected = home is None and (wish == "1" or (gpus > 0 and wish != "0"))
-    assert ("installing the CUDA compiler" in commands) == expected
+    assert ("the CUDA compiler" in commands) == expected and commands[-1] == "pgccd, compiled in place"

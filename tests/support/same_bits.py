@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor
 
 import pgccd
+from pgccd.detection import narrow
 from pgccd.runtime.hashing import row_hash
 
 COLUMNS = ("pairs", "toi", "kind", "features", "coordinates", "point", "normal", "status")
@@ -45,6 +47,20 @@ def difference(found: dict[str, Tensor], expected: dict[str, Tensor]) -> str | N
                 f"expected {column[row].tolist()}"
             )
     return "; ".join(said) or None
+
+
+def first_rows(every: pgccd.Contacts, report: narrow.Report) -> torch.Tensor:
+    """Rows of the first contact of each pair, or of the earliest one, among all."""
+    assert every.toi is not None
+    pairs, toi = every.pairs.cpu().numpy(), every.toi.cpu().numpy()
+    # All contacts of a pair are sorted by kind and features.
+    order = np.lexsort((np.arange(len(toi)), toi, pairs[:, 1], pairs[:, 0]))
+    is_first = np.ones(len(order), bool)
+    is_first[1:] = (np.diff(pairs[order], axis=0) != 0).any(axis=1)
+    rows = np.sort(order[is_first])
+    if report == "earliest":
+        rows = rows[np.argmin(toi[rows])][None] if len(rows) else rows
+    return torch.from_numpy(rows).to(every.pairs.device)
 
 
 def contacts_hash(contacts: pgccd.Contacts, rows: Tensor) -> int:

@@ -16,7 +16,7 @@ import pgccd
 from pgccd.distributed import BalanceOptions, Comm, World
 from support.random_scenes import RandomScene, random_scene
 from support.ranks import RankPool
-from support.same_bits import columns_of, difference
+from support.same_bits import columns_of, difference, first_rows
 
 Columns = dict[str, Tensor]
 _THREADS = 3
@@ -58,6 +58,10 @@ def differences(
         with _named(scene):
             contacts, others = reference(scene), derived(scene, "cpu")
         expected.append(columns_of(contacts))
+        with _named(scene):
+            said = _not_of_all(scene, contacts)
+        if said is not None:
+            found.append(Difference(scene, "of all contacts", said))
         for way, columns in _all_ways(scene, contacts, devices):
             said = columns if isinstance(columns, str) else difference(columns, expected[-1])
             if said is not None:
@@ -77,6 +81,16 @@ def differences(
                     if said is not None:
                         found.append(Difference(scene, f"rank {rank} of {size}, {device}", said))
     return found
+
+
+def _not_of_all(scene: RandomScene, found: pgccd.Contacts | pgccd.CollidingPairs) -> str | None:
+    """What of a report is not selected from the contacts of report "all"; None for trajectories."""
+    report = scene.arguments["report"]
+    if report == "all" or isinstance(scene.motion(), pgccd.Trajectory):
+        return None
+    every = pgccd.detect(scene.scene(), scene.motion(), **(scene.arguments | {"report": "all"}))
+    expected = columns_of(every[first_rows(every, report)])
+    return difference(columns_of(found), {name: expected[name] for name in found.columns})
 
 
 def _all_ways(scene: RandomScene, whole: pgccd.Contacts, devices: Iterable[str]) -> Iterator[tuple[str, Columns | str]]:

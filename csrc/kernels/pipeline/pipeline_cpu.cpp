@@ -2,6 +2,7 @@
 #include <cmath>
 #include <limits>
 #include <numeric>
+#include <tuple>
 
 #include "kernels/pipeline/pipeline.h"
 #include "kernels/traverse/leaf_separation.h"
@@ -26,8 +27,9 @@ class PairSearch {
   int64_t narrow_time() const { return narrow_time_; }
 
   ContactRows search() {
-    if (!wants_first(narrow_.report)) return search_at_once();
-    return narrow_.report == Report::kEarliest ? search_earliest() : search_in_parts();
+    if (narrow_.report == Report::kAll) return search_at_once();
+    if (narrow_.report == Report::kEarliest) return search_earliest();
+    return search_until(std::vector<double>(traversal_.pair_count, 1.0));
   }
 
  private:
@@ -37,34 +39,90 @@ class PairSearch {
     return solve(list);
   }
 
-  // The first contacts until a time, which is given for each pair.
-  ContactRows search_until(const std::vector<double>& latest) {
-    traversal_.horizon = narrow_.latest = latest.data();
-    ContactRows found = search_at_once();
+  // One contact of each pair until a time: the first one, unless any will do. Leaves are searched in batches, first
+  // those that may meet first, over the motion until the contacts found so far; among leaves that may meet at once,
+  // those with the smallest features first. Bodies that rest against each other have thousands of leaves and contacts
+  // at t = 0, of which a few batches find the one to report.
+  ContactRows search_until(std::vector<double> horizon) {
+    traversal_.horizon = horizon.data();
+    if (wants_first(narrow_.report)) narrow_.latest = horizon.data();
+    FoundLeaves found = find_leaf_pairs(executor_, bodies_, traversal_);
+    counts_[kNodeTests] += found.node_tests;
+    std::vector<Wanted> left;
+    left.reserve(found.pairs.size());
+    for (LeafPair& leaves : found.pairs) {
+      // From a part of the time searched to a part of the step, rounded down.
+      if (const double until = horizon_of(traversal_, leaves.pair); until < 1.0) {
+        leaves.begin = (1.0f - 4.0f * Precision<float>::unit) * static_cast<float>(leaves.begin * until);
+      }
+      left.push_back({leaves, 0});
+    }
+    order(left);
+    ContactRows best;
+    for (size_t most = kFirstBatch; !left.empty(); most *= 4) {
+      const std::vector<LeafPair> batch = take_batch(left, most, most == kFirstBatch);
+      best = first_of_each_pair(best, solve(visit_leaf_pairs(executor_, bodies_, traversal_, batch)), horizon);
+      std::vector<FirstFeature> known(traversal_.pair_count, kNoFeature);
+      for (size_t row = 0; row < best.pair.size(); ++row) {
+        const int32_t pair = best.pair[row];
+        horizon[pair] = best.toi[row];
+        // Of contacts at the same time, that of the smallest features is the first.
+        if (best.toi[row] == 0.0) known[pair] = first_feature(best.kind[row], best.features[2 * row]);
+        if (narrow_.report == Report::kAny) known[pair] = -1;
+      }
+      std::erase_if(left, [&](const Wanted& w) {
+        const double latest = horizon[w.leaves.pair];
+        return w.leaves.begin > latest || w.first > known[w.leaves.pair];
+      });
+    }
     traversal_.horizon = narrow_.latest = nullptr;
-    return found;
+    return best;
   }
 
-  // The first contact of each pair, in two parts: the leaves that may meet first, then those of the others that may
-  // meet before the contacts found, over the motion until then.
-  ContactRows search_in_parts() {
-    const FoundLeaves found = find_leaf_pairs(executor_, bodies_, traversal_);
-    counts_[kNodeTests] += found.node_tests;
-    std::vector<float> earliest(traversal_.pair_count, kNeverMeet);
-    for (const LeafPair& leaves : found.pairs) earliest[leaves.pair] = smaller(earliest[leaves.pair], leaves.begin);
-    std::vector<LeafPair> first, later;
-    for (const LeafPair& leaves : found.pairs) {
-      (leaves.begin == earliest[leaves.pair] ? first : later).push_back(leaves);
-    }
-    const ContactRows guess = solve(visit_leaf_pairs(executor_, bodies_, traversal_, first));
+  // Leaf pairs still to be searched, by body pair.
+  struct Wanted {
+    LeafPair leaves;
+    FirstFeature first;  // of their candidates, at least
+  };
 
-    std::vector<double> horizon(traversal_.pair_count, 1.0);
-    for (size_t row = 0; row < guess.pair.size(); ++row) horizon[guess.pair[row]] = guess.toi[row];
-    std::erase_if(later, [&](const LeafPair& leaves) { return leaves.begin > horizon[leaves.pair]; });
-    traversal_.horizon = narrow_.latest = horizon.data();
-    const ContactRows rest = solve(visit_leaf_pairs(executor_, bodies_, traversal_, later));
-    traversal_.horizon = narrow_.latest = nullptr;
-    return first_of_each_pair(guess, rest, horizon);
+  // Leaf pairs of a body pair in the first batch; those of most pairs fit into it.
+  static constexpr size_t kFirstBatch = 64;
+
+  // Calls use(begin, end) for the leaf pairs of each body pair.
+  template <class Use>
+  static void for_each_pair(const std::vector<Wanted>& wanted, Use&& use) {
+    for (size_t begin = 0, end; begin < wanted.size(); begin = end) {
+      end = begin;
+      while (end < wanted.size() && wanted[end].leaves.pair == wanted[begin].leaves.pair) ++end;
+      use(begin, end);
+    }
+  }
+
+  // Sorts the leaf pairs of each body pair by time, and many also by feature.
+  void order(std::vector<Wanted>& wanted) const {
+    for_each_pair(wanted, [&](size_t begin, size_t end) {
+      const auto first = wanted.begin() + begin, last = wanted.begin() + end;
+      if (end - begin > kFirstBatch) {
+        std::for_each(first, last, [&](Wanted& w) { w.first = first_feature_of(bodies_, traversal_, w.leaves); });
+      }
+      std::sort(first, last, [](const Wanted& a, const Wanted& b) {
+        return std::tie(a.leaves.begin, a.first) < std::tie(b.leaves.begin, b.first);
+      });
+    });
+  }
+
+  // Removes up to `most` leaf pairs of each body pair; of those that may meet first only, if so wanted.
+  static std::vector<LeafPair> take_batch(std::vector<Wanted>& wanted, size_t most, bool only_first) {
+    std::vector<LeafPair> batch;
+    std::vector<Wanted> rest;
+    for_each_pair(wanted, [&](size_t begin, size_t end) {
+      for (size_t k = begin; k < end; ++k) {
+        const bool is_taken = k < begin + most && (!only_first || wanted[k].leaves.begin == wanted[begin].leaves.begin);
+        is_taken ? batch.push_back(wanted[k].leaves) : rest.push_back(wanted[k]);
+      }
+    });
+    wanted.swap(rest);
+    return batch;
   }
 
   // The earliest contact of the scene, and those at the same time. Every batch of pairs, of doubling sizes, is searched
@@ -81,7 +139,7 @@ class PairSearch {
       size = std::min(size, all.pair_count - begin);
       traversal_.pairs = narrow_.pairs = pairs.data() + 2 * begin;
       traversal_.pair_count = narrow_.pair_count = size;
-      ContactRows rows = found.pair.empty() ? search_in_parts() : search_until(std::vector<double>(size, earliest));
+      ContactRows rows = search_until(std::vector<double>(size, smaller(earliest, 1.0)));
       for (int32_t& pair : rows.pair) pair = order[begin + pair];
       for (const double toi : rows.toi) earliest = smaller(earliest, toi);
       append_rows(found, rows);
