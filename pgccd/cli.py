@@ -1,4 +1,4 @@
-"""The command line: `pgccd simulate`, `pgccd detect`, `pgccd info`."""
+"""The command line: `pgccd view`, `pgccd detect`, `pgccd simulate`, `pgccd info`."""
 
 import argparse
 import functools
@@ -28,13 +28,30 @@ from pgccd.sim.pictures import write_pictures
 from pgccd.sim.progress import Progress, terminal_progress
 from pgccd.sim.run_folder import mesh_files
 from pgccd.sim.summary import summary_lines, totals
+from pgccd.viz import Page
+from pgccd.viz.animation import AnyMotion
+from pgccd.viz.display import open_page, require_writable
 
-_COMMANDS = ("simulate", "detect", "info")
+_COMMANDS = ("view", "detect", "simulate", "info")
 
-_DETECT_NOTES = """\
-poses.npz holds, for N bodies: position_t0 (N, 3) and orientation_t0 (N, 4), and either
-  position_t1 (N, 3) and orientation_t1 (N, 4), or
-  linear_velocity (N, 3), angular_velocity (N, 3) in radians and dt, a number.
+_EXAMPLES = """\
+examples:
+  pgccd view robot.ply                                     a mesh in the browser
+  pgccd view arm.ply box.obj --motion trajectory.npz       bodies on their paths
+  pgccd detect a.ply b.ply --motion poses.npz              the collisions of one step
+  pgccd detect --scene scene.json --page contacts.html     and a page that shows them
+  pgccd detect --scene scene.json --json                   for programs
+  pgccd simulate --robots 2000 --steps 10 --out out/try    the nanorobot model
+  pgccd info robot.ply                                     version, devices; size of a mesh
+
+pgccd COMMAND --help lists the options of a command."""
+
+_FILE_NOTES = """\
+poses.npz holds, for N bodies, one of these:
+  position_t0 (N, 3), orientation_t0 (N, 4), position_t1 (N, 3), orientation_t1 (N, 4);
+  position_t0, orientation_t0, linear_velocity (N, 3), angular_velocity (N, 3) in radians, and dt, a number;
+  a trajectory of T waypoints: position (T, N, 3), orientation (T, N, 4);
+  deforming bodies: x_t0, x_t1 (X, 3), the vertices of all bodies, or position (T, X, 3) alone.
 A pose puts a point v of a mesh file at position + R (v - origin), and the body turns about its origin: that of the
 file's coordinates, unless a scene file says otherwise. Orientations are unit quaternions (w, x, y, z), body to world.
 
@@ -61,7 +78,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     name = arguments[0] if arguments and arguments[0] in _COMMANDS else ""
     try:
         try:
-            options = _build_parser().parse_args(arguments)
+            parser = _build_parser()
+            options = parser.parse_args(arguments)
+            if options.command is None:
+                parser.print_help()
+                return 0
             if options.command == "simulate":
                 _check_simulate(options)
         except ArgumentError as error:
@@ -80,10 +101,59 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _build_parser() -> argparse.ArgumentParser:
-    parser = _Parser(prog="pgccd", description="Continuous collision detection for very many moving meshes.")
-    commands = parser.add_subparsers(dest="command", required=True, metavar="command", parser_class=_Parser)
+    parser = _Parser(
+        prog="pgccd",
+        description="Continuous collision detection for very many moving meshes.",
+        epilog=_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"pgccd {pgccd.__version__}")
+    commands = parser.add_subparsers(dest="command", metavar="command", parser_class=_Parser)
+    as_json = _Parser(add_help=False)
+    as_json.add_argument("--json", action="store_true", help="print one JSON object")
+    output = _Parser(add_help=False, parents=[as_json])
+    output.add_argument("--quiet", action="store_true", help="print the last line only, and no progress")
 
-    simulate = commands.add_parser("simulate", help="run the nanorobot model", description="Runs the nanorobot model.")
+    def with_files(name: str, summary: str, description: str) -> argparse.ArgumentParser:
+        made = commands.add_parser(
+            name,
+            parents=[output],
+            help=summary,
+            description=description,
+            epilog=_FILE_NOTES,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        made.add_argument("meshes", nargs="*", metavar="MESH", help="mesh files, one per body")
+        made.add_argument("--motion", metavar="NPZ", help="poses of the bodies: of one step, or a trajectory")
+        made.add_argument("--scene", metavar="JSON", help="instead of MESH and --motion: meshes shared by many bodies")
+        return made
+
+    view = with_files(
+        "view",
+        "show meshes, and their paths, in the browser",
+        "Writes an interactive page of bodies, on their paths if there is a --motion, without looking for collisions.",
+    )
+    where = "HTML page or .glb model to write (a temporary page, opened in the browser)"
+    view.add_argument("--page", type=Path, metavar="FILE", help=where)
+    view.set_defaults(run=_view)
+
+    detect = with_files(
+        "detect",
+        "find the collisions of one step, or of a trajectory, of any meshes",
+        "Finds the collisions of one step, or along a trajectory.",
+    )
+    add = detect.add_argument
+    add("--page", type=Path, metavar="FILE", help="write an interactive HTML page of the contacts; or a .glb model")
+    add("--report", choices=list(REPORTS), default="first", help="which contacts to report (first)")
+    add("--min-separation", type=float, default=0.0, metavar="LENGTH", help="distance that counts as touching (0)")
+    add("--tolerance", type=float, metavar="LENGTH", help="of a reported contact (1e-6 of the smaller radius)")
+    add("--device", default="cpu", help="cpu, cuda, ... (cpu)")
+    add("--broad-phase", choices=BROAD_PHASES, default="auto", help="broad phase; does not change the result (auto)")
+    detect.set_defaults(run=_detect)
+
+    simulate = commands.add_parser(
+        "simulate", parents=[output], help="run the nanorobot model", description="Runs the nanorobot model."
+    )
     add = simulate.add_argument
     add("--robots", type=int, metavar="N", help="number of robots (10000)")
     add("--steps", type=int, metavar="S", help="total number of steps (20; with --resume: that of the run)")
@@ -100,26 +170,7 @@ def _build_parser() -> argparse.ArgumentParser:
     command.add_arguments(simulate)
     simulate.set_defaults(run=_simulate)
 
-    detect = commands.add_parser(
-        "detect",
-        help="find the collisions of one step of any meshes",
-        description="Finds the collisions of one step.",
-        epilog=_DETECT_NOTES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    add = detect.add_argument
-    add("meshes", nargs="*", metavar="MESH", help="mesh files, one per body")
-    add("--motion", metavar="NPZ", help="poses of the bodies at both ends of the step")
-    add("--scene", metavar="JSON", help="instead of MESH and --motion: meshes shared by many bodies")
-    add("--report", choices=list(REPORTS), default="first", help="which contacts to report (first)")
-    add("--min-separation", type=float, default=0.0, metavar="LENGTH", help="distance that counts as touching (0)")
-    add("--tolerance", type=float, metavar="LENGTH", help="of a reported contact (1e-6 of the smaller radius)")
-    add("--device", default="cpu", help="cpu, cuda, ... (cpu)")
-    add("--broad-phase", choices=BROAD_PHASES, default="auto", help="broad phase; does not change the result (auto)")
-    add("--json", action="store_true", help="print one JSON object")
-    detect.set_defaults(run=_detect)
-
-    info = commands.add_parser("info", help="version, build and devices; statistics of mesh files")
+    info = commands.add_parser("info", parents=[as_json], help="version, build and devices; statistics of mesh files")
     info.add_argument("meshes", nargs="*", metavar="MESH", help="mesh files to describe")
     info.set_defaults(run=_info)
     return parser
@@ -164,9 +215,10 @@ def _simulate(options: argparse.Namespace) -> int:
 
 
 def _print_run(finished: sim.Run, folder: Path, options: argparse.Namespace) -> None:
-    for line in summary_lines(finished):
-        print(line)
-    print(f"log: {folder / sim.LOG_FILE}")
+    if not (options.quiet or options.json):
+        for line in summary_lines(finished):
+            print(line)
+        print(f"log: {folder / sim.LOG_FILE}")
     figures = totals(finished)
     if not options.no_pictures:
         try:
@@ -176,7 +228,11 @@ def _print_run(finished: sim.Run, folder: Path, options: argparse.Namespace) -> 
         except OSError as error:
             problem = f"pictures cannot be written to {folder}: {error.strerror or error}; the run is complete"
             raise ArgumentError("--out", problem) from error
-    print(" ".join(f"{name}={value}" for name, value in figures.items()))
+    if options.json:
+        figures |= {"seconds_per_step": float(figures["seconds_per_step"]), "log": folder / sim.LOG_FILE}
+        print(json.dumps(figures | {"interrupted": finished.interrupted}, default=str))
+    else:
+        print(" ".join(f"{name}={value}" for name, value in figures.items()))
     if finished.interrupted:
         print(f"interrupted; to continue: pgccd simulate --resume {folder}", file=sys.stderr)
 
@@ -201,7 +257,7 @@ def _run_or_resume(options: argparse.Namespace, device: torch.device, comm: dist
             _require_same_world(folder, header, given)
             files = options.mesh or on_first(comm, lambda: mesh_files(folder))
             meshes = together(comm, lambda: _load_meshes(files, "--mesh", "centroid"))
-            with _progress(comm, header.steps_made, options.steps or header.steps_wanted) as progress:
+            with _progress(comm, options, header.steps_made, options.steps or header.steps_wanted) as progress:
                 return go_on(folder, options.steps, meshes=meshes, progress=progress, **settings), folder
     except (ValueError, OSError) as error:
         raise ArgumentError("--resume", error) from error
@@ -215,7 +271,7 @@ def _run_or_resume(options: argparse.Namespace, device: torch.device, comm: dist
     notes = {"mesh_files": [str(Path(name).resolve()) for name in options.mesh or []]}
     settings |= {"notes": notes, "overwrite": options.overwrite}
     try:
-        with _progress(comm, 0, steps) as progress:
+        with _progress(comm, options, 0, steps) as progress:
             return begin(config, steps, out, meshes=meshes, progress=progress, **settings), out
     except (FolderError, sim.CheckpointError) as error:
         raise ArgumentError("--out", str(error).removeprefix("folder: ")) from error
@@ -234,8 +290,11 @@ def _option(field: str) -> str:
     return "--" + field.replace("pattern", "world")
 
 
-def _progress(comm: distributed.Comm, steps_made: int, steps: int) -> AbstractContextManager[Progress | None]:
-    return terminal_progress(steps_made, steps) if comm.rank == 0 else nullcontext()
+def _progress(
+    comm: distributed.Comm, options: argparse.Namespace, steps_made: int, steps: int
+) -> AbstractContextManager[Progress | None]:
+    is_shown = comm.rank == 0 and not options.quiet
+    return terminal_progress(steps_made, steps) if is_shown else nullcontext()
 
 
 def _load_meshes(files: Sequence[str] | None, argument: str, origin: Origin = (0, 0, 0)) -> list[pgccd.Mesh] | None:
@@ -258,23 +317,73 @@ def _device(name: str) -> torch.device:
     return device
 
 
-def _detect(options: argparse.Namespace) -> int:
-    device = _device(options.device)
+def _inputs(
+    options: argparse.Namespace, device: torch.device, needs_motion: bool
+) -> tuple[pgccd.Scene, AnyMotion, str]:
+    """The scene and motion that the options name, and the option of the motion."""
+    if options.page is not None:
+        try:
+            require_writable(options.page)
+        except OSError as error:
+            raise ArgumentError("--page", str(error).removeprefix("path: ")) from error
     if options.scene is not None and (options.meshes or options.motion is not None):
         raise ArgumentError("--scene", "takes the place of MESH and --motion")
     if options.scene is None and not options.meshes:
         raise ArgumentError("MESH", "expected mesh files, or --scene")
-    if options.scene is None and options.motion is None:
+    if options.scene is None and options.motion is None and needs_motion:
         raise ArgumentError("--motion", "expected an npz file with the poses")
     source = "--motion" if options.scene is None else "--scene"
     try:
         if options.scene is not None:
-            scene, motion = load_scene(options.scene, device)
-        else:
-            scene = pgccd.Scene(_load_meshes(options.meshes, "MESH") or [], device=device)
-            motion = load_motion(options.motion, device)
+            return *load_scene(options.scene, device), source
+        scene = pgccd.Scene(_load_meshes(options.meshes, "MESH") or [], device=device)
+        if options.motion is not None:
+            return scene, load_motion(options.motion, device), source
     except (ImportError, ValueError) as error:
         raise ArgumentError(source, error) from error
+    position = torch.zeros((scene.body_count, 3), dtype=torch.float64)
+    orientation = torch.tensor([[1.0, 0.0, 0.0, 0.0]], dtype=torch.float64).repeat(scene.body_count, 1)
+    return scene, pgccd.RigidMotion.at_rest(position, orientation), source
+
+
+def _write_page(
+    options: argparse.Namespace,
+    scene: pgccd.Scene,
+    motion: AnyMotion,
+    hits: pgccd.Contacts | pgccd.CollidingPairs | None = None,
+) -> Path:
+    """Writes the page that the options ask for; returns its path."""
+    try:
+        if options.page is not None and options.page.suffix.lower() == ".glb":
+            return pgccd.show(scene, motion, hits, options.page)
+        page = Page.of(scene, motion, hits)
+        if not options.quiet:
+            for sentence in page.left_out:
+                print(sentence, file=sys.stderr)
+        if options.page is not None:
+            return page.save(options.page)
+        open_page(page)
+    except (OSError, ImportError) as error:
+        raise ArgumentError("--page", str(error).removeprefix("path: ")) from error
+    except ValueError as error:
+        raise ArgumentError("--motion" if options.scene is None else "--scene", error) from error
+    assert page.path is not None
+    return page.path
+
+
+def _view(options: argparse.Namespace) -> int:
+    scene, motion, _ = _inputs(options, torch.device("cpu"), needs_motion=False)
+    path = _write_page(options, scene, motion)
+    if options.json:
+        print(json.dumps({"page": str(path), "bodies": scene.body_count}))
+    else:
+        print(f"bodies={scene.body_count} page={path}")
+    return 0
+
+
+def _detect(options: argparse.Namespace) -> int:
+    device = _device(options.device)
+    scene, motion, source = _inputs(options, device, needs_motion=True)
     try:
         hits = pgccd.detect(
             scene,
@@ -295,19 +404,23 @@ def _detect(options: argparse.Namespace) -> int:
             raise
         raise ArgumentError(source, f"too much for the memory of {device}: {error}") from error
     rows = _contact_rows(hits)
+    page = {} if options.page is None else {"page": str(_write_page(options, scene, motion, hits))}
     if options.json:
-        print(json.dumps({"contacts": rows, "stats": asdict(hits.stats)}))
+        print(json.dumps({"contacts": rows, "stats": asdict(hits.stats)} | page))
         return 0
-    for row in rows:
+    for row in [] if options.quiet else rows:
         print("  ".join(f"{name}={_plain(value)}" for name, value in row.items()))
-    print(f"bodies={hits.stats.bodies} pcs={hits.stats.pcs} contacts={len(hits)} unresolved={hits.stats.unresolved}")
+    stats = hits.stats
+    figures: dict[str, Any] = {"bodies": stats.bodies, "pcs": stats.pcs, "contacts": len(hits)}
+    print(" ".join(f"{name}={v}" for name, v in (figures | {"unresolved": stats.unresolved} | page).items()))
     return 0
 
 
 def _contact_rows(hits: pgccd.Contacts | pgccd.CollidingPairs) -> list[dict[str, Any]]:
     columns: dict[str, list[Any]] = {"pair": hits.pairs.tolist()}
     if isinstance(hits, pgccd.Contacts):
-        columns |= {name: getattr(hits, name).tolist() for name in ("toi", "kind", "features", "point", "normal")}
+        names = ("segment", "toi", "time") if isinstance(hits, pgccd.TrajectoryContacts) else ("toi",)
+        columns |= {name: getattr(hits, name).tolist() for name in (*names, "kind", "features", "point", "normal")}
         columns["kind"] = [pgccd.Kind.names()[kind] for kind in columns["kind"]]
         columns["status"] = [pgccd.Status.names()[status] for status in hits.status.tolist()]
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
@@ -320,8 +433,16 @@ def _plain(value: Any) -> str:
 
 
 def _info(options: argparse.Namespace) -> int:
-    for name, value in describe_installation().items():
-        print(f"{name:<20}{value}")
+    installation = describe_installation()
+    if options.json:
+        sizes = []
+        for name, mesh in zip(options.meshes, _load_meshes(options.meshes, "MESH") or [], strict=True):
+            row: dict[str, Any] = {"file": name, "vertices": len(mesh.vertices), "faces": len(mesh.faces)}
+            sizes.append(row | {"centre": mesh.centre.tolist(), "radius": mesh.radius})
+        print(json.dumps(installation | {"meshes": sizes}))
+        return 0
+    for name, text in installation.items():
+        print(f"{name:<20}{text}")
     for name, mesh in zip(options.meshes, _load_meshes(options.meshes, "MESH") or [], strict=True):
         centre = ", ".join(f"{x:.9g}" for x in mesh.centre.tolist())
         size = f"{len(mesh.vertices)} vertices, {len(mesh.faces)} faces"

@@ -12,30 +12,42 @@ import torch
 from pgccd import arguments
 from pgccd.geometry.mesh import Mesh
 from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
-from pgccd.motion.paths import RigidMotion
+from pgccd.motion.paths import RigidMotion, VertexMotion
+from pgccd.motion.trajectory import Trajectory
 
 __all__ = ["load_motion", "load_scene"]
 
 _START = ("position_t0", "orientation_t0")
 _END = ("position_t1", "orientation_t1")
 _VELOCITY = ("linear_velocity", "angular_velocity", "dt")
+_VERTICES = ("x_t0", "x_t1")
+_WAYPOINTS = ("position", "orientation")
+# The keys of each kind of motion: required ones, then others.
+_KINDS = ((_VERTICES, ()), (_WAYPOINTS[:1], _WAYPOINTS[1:]), (_START, (*_END, *_VELOCITY)))
 _SCENE = ("meshes", "mesh_index", "poses")
 
 
-def load_motion(path: str | PathLike[str], device: torch.device | str = "cpu") -> RigidMotion:
-    """A rigid motion of N bodies from an npz file.
+def load_motion(
+    path: str | PathLike[str], device: torch.device | str = "cpu"
+) -> RigidMotion | VertexMotion | Trajectory:
+    """A motion of N bodies from an npz file, world frame, scene length units.
 
-    The file holds position_t0 (N, 3) and orientation_t0 (N, 4), and either position_t1 and orientation_t1, or
-    linear_velocity (N, 3), angular_velocity (N, 3) in radians, and dt. Positions are those of the meshes' origins,
-    orientations unit quaternions (w, x, y, z), body to world.
+    The file holds one of these:
+
+    * position_t0 (N, 3) and orientation_t0 (N, 4), and either position_t1 and orientation_t1, or linear_velocity
+      (N, 3), angular_velocity (N, 3) in radians, and dt: a `RigidMotion`. Positions are those of the meshes' origins,
+      orientations unit quaternions (w, x, y, z), body to world.
+    * position (T, N, 3) and orientation (T, N, 4): a `Trajectory` of rigid bodies.
+    * x_t0 and x_t1 (X, 3), vertices of all bodies: a `VertexMotion`; or position (T, X, 3) alone: a `Trajectory` of
+      deforming bodies.
 
     Args:
         path: of the file.
         device: of the motion.
 
     Raises:
-        ValueError: the file cannot be read, a key is missing or unknown, or its values are not as `RigidMotion` expects
-            them.
+        ValueError: the file cannot be read, a key is missing, unknown or belongs to another motion, or its values are
+            not as the motion expects them.
 
     Example:
         >>> np.savez("poses.npz", position_t0=x0, orientation_t0=q0, position_t1=x1, orientation_t1=q1)
@@ -47,12 +59,26 @@ def load_motion(path: str | PathLike[str], device: torch.device | str = "cpu") -
             arrays = {name: archive[name] for name in archive.files}
     except Exception as error:
         raise ValueError(f"{path} cannot be read as an npz file: {error}") from error
-    _require_known(path, arrays, (*_START, *_END, *_VELOCITY))
+    _require_known(path, arrays, (*_START, *_END, *_VELOCITY, *_VERTICES, *_WAYPOINTS))
+    required, others = next((kind for kind in _KINDS if any(name in arrays for name in kind[0])), _KINDS[-1])
+    for name in arrays:
+        if name not in (*required, *others):
+            raise ValueError(f"{path} has {name!r} beside {required[0]!r}: expected the one or the other")
+    for name in required:
+        if name not in arrays:
+            raise ValueError(f"{path} has no {name!r}")
     columns = {name: _as_column(path, name, values).to(device) for name, values in arrays.items()}
+    try:
+        if required == _VERTICES:
+            return VertexMotion(columns["x_t0"], columns["x_t1"])
+        if required == _WAYPOINTS[:1]:
+            return Trajectory(columns["position"], columns.get("orientation"))
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise ValueError(f"{path}: {error}") from error
     by_velocity = any(name in columns for name in _VELOCITY)
     if by_velocity and (both := [name for name in _END if name in columns]):
         raise ValueError(f"{path} has {both[0]!r} beside velocities: expected the one or the other")
-    for name in _START + (_VELOCITY if by_velocity else _END):
+    for name in _VELOCITY if by_velocity else _END:
         if name not in columns:
             raise ValueError(f"{path} has no {name!r}")
     position, orientation = (columns[name] for name in _START)
@@ -68,12 +94,14 @@ def load_motion(path: str | PathLike[str], device: torch.device | str = "cpu") -
         raise ValueError(f"{path}: {error}") from error
 
 
-def load_scene(path: str | PathLike[str], device: torch.device | str = "cpu") -> tuple[Scene, RigidMotion]:
+def load_scene(
+    path: str | PathLike[str], device: torch.device | str = "cpu"
+) -> tuple[Scene, RigidMotion | VertexMotion | Trajectory]:
     """A scene and its motion from a JSON file.
 
-    The file holds {"meshes": [files], "mesh_index": [numbers], "poses": npz file}, paths relative to it; and optionally
-    "group", "mask", "world", "static" and "margin", lists with one value per body, and "origin", a list with one value
-    per mesh: a point [x, y, z] or a name, as for `Mesh`.
+    The file holds {"meshes": [files], "mesh_index": [numbers], "poses": npz file as for `load_motion`}, paths relative
+    to it; and optionally "group", "mask", "world", "static" and "margin", lists with one value per body, and "origin",
+    a list with one value per mesh: a point [x, y, z] or a name, as for `Mesh`.
 
     Args:
         path: of the file.

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import torch
 
+import pgccd
 from pgccd import files
 from pgccd.cli import main
 from pgccd.sim import robot_mesh
@@ -123,6 +124,94 @@ def test_detect_as_json_and_by_scene_and_velocity(
     assert "contacts=0" in capsys.readouterr().out
 
 
+def test_detect_along_trajectories_and_of_deforming_bodies(
+    tmp_path: Path, meshes: list[str], poses: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["detect", *meshes, "--motion", poses, "--json"]) == 0
+    (step,) = json.loads(capsys.readouterr().out)["contacts"]
+    given = np.load(poses)
+    start, turn = given["position_t0"], given["orientation_t0"]
+    away = np.stack([start + [0.0, 9.0, 0.0] * np.array([[0], [1]]), start, given["position_t1"]])
+    np.savez(tmp_path / "path.npz", position=away, orientation=np.stack([turn] * 3))
+    assert main(["detect", *meshes, "--motion", str(tmp_path / "path.npz"), "--json"]) == 0
+    (found,) = json.loads(capsys.readouterr().out)["contacts"]
+    assert found.pop("segment") == 1 and found.pop("time") == pytest.approx((1.0 + step["toi"]) / 2.0) and found == step
+    scene = {"meshes": ["a.obj"], "mesh_index": [0, 0], "poses": "path.npz"}
+    (tmp_path / "scene.json").write_text(json.dumps(scene))
+    assert main(["detect", "--scene", str(tmp_path / "scene.json")]) == 0
+    assert capsys.readouterr().out.startswith("pair=0,1  segment=1  toi=0.37")
+
+    corners = pgccd.Mesh.load(meshes[0]).vertices.numpy()
+    vertices = (away[:, :, None] + corners).reshape(3, -1, 3)
+    for name, columns in (("step", {"x_t0": vertices[1], "x_t1": vertices[2]}), ("path", {"position": vertices})):
+        np.savez(tmp_path / f"{name}.npz", **columns)
+        assert main(["detect", *meshes, "--motion", str(tmp_path / f"{name}.npz"), "--json"]) == 0
+        (same,) = json.loads(capsys.readouterr().out)["contacts"]
+        assert same["toi"] == pytest.approx(step["toi"], abs=1e-5) and same["pair"] == step["pair"]
+
+
+def test_pages(tmp_path: Path, meshes: list[str], poses: str, capsys: pytest.CaptureFixture[str]) -> None:
+    page, model = str(tmp_path / "page.html"), str(tmp_path / "model.glb")
+    assert main(["detect", *meshes, "--motion", poses, "--page", page]) == 0
+    out = capsys.readouterr().out.splitlines()
+    assert len(out) == 2 and out[1].endswith(f"contacts=1 unresolved=0 page={page}")
+    assert "<h1>2 bodies, 1 contact</h1>" in Path(page).read_text()
+    assert main(["detect", *meshes, "--motion", poses, "--page", model, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["page"] == model and Path(model).read_bytes()[:4] == b"glTF"
+    assert main(["view", *meshes, "--page", page, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"page": page, "bodies": 2}
+    assert "<h1>2 bodies</h1>" in Path(page).read_text() and '"moving":false' in Path(page).read_text()
+    assert main(["view", *meshes, "--motion", poses, "--page", page]) == 0
+    assert capsys.readouterr().out == f"bodies=2 page={page}\n" and '"moving":true' in Path(page).read_text()
+
+
+def test_view_opens_a_browser(
+    tmp_path: Path, meshes: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    opened: list[str] = []
+    monkeypatch.setattr("webbrowser.open", lambda address: opened.append(address) or True)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.setenv("DISPLAY", ":0")
+    assert main(["view", *meshes]) == 0
+    assert capsys.readouterr().out.strip() == f"bodies=2 page={opened[0].removeprefix('file://')}"
+
+
+def test_no_command_lists_all_with_examples(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([]) == 0
+    out = capsys.readouterr().out
+    for name in ("view", "detect", "simulate", "info"):
+        assert re.search(rf"^    {name} ", out, re.MULTILINE) and f"  pgccd {name} " in out
+    with pytest.raises(SystemExit) as ended:
+        main(["--version"])
+    assert ended.value.code == 0 and capsys.readouterr().out == f"pgccd {pgccd.__version__}\n"
+
+
+def test_quiet_and_json(tmp_path: Path, meshes: list[str], poses: str, capsys: pytest.CaptureFixture[str]) -> None:
+    run = ["simulate", "--robots", "30", "--steps", "2", "--no-pictures", "--overwrite", "--out", str(tmp_path / "run")]
+    assert main([*run, "--quiet"]) == 0
+    quiet = capsys.readouterr()
+    assert quiet.err == "" and re.fullmatch(r"robots=30 steps=2 pcs=\d+ .*\n", quiet.out)
+    assert main([*run, "--json"]) == 0
+    printed = capsys.readouterr()
+    figures = json.loads(printed.out)
+    assert (figures["robots"], figures["steps"], figures["interrupted"]) == (30, 2, False)
+    assert figures["seconds_per_step"] > 0.0 and Path(figures["log"]).is_file() and "step 2/2" in printed.err
+    assert main(["detect", *meshes, "--motion", poses, "--quiet"]) == 0
+    assert re.fullmatch(r"bodies=2 pcs=1 contacts=1 unresolved=0\n", capsys.readouterr().out)
+    assert main(["info", meshes[0], "--json"]) == 0
+    about = json.loads(capsys.readouterr().out)
+    assert about["pgccd"] == pgccd.__version__ and about["meshes"][0]["faces"] == 4
+
+
+def test_a_folder_that_cannot_be_written_is_refused_before_the_first_step(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("pgccd.sim.replay.make_step", lambda *_: pytest.fail("a step was made"))
+    monkeypatch.setattr("pgccd.sim.model.Model.start", lambda *_: pytest.fail("the world was made"))
+    assert main(["simulate", "--robots", "30", "--steps", "1", "--out", "/proc/run"]) == 2
+    assert "argument --out: cannot write to /proc/run" in capsys.readouterr().err
+
+
 def test_output_whose_reader_has_ended() -> None:
     read, write = os.pipe()
     os.close(read)
@@ -141,7 +230,6 @@ def test_info_names_version_and_kernels(meshes: list[str], capsys: pytest.Captur
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ([], "command"),
         (["fly"], "command"),
         (["simulate", "--robots", "many"], "argument --robots"),
         (["simulate", "--robots", "0"], "argument --robots"),
@@ -168,6 +256,23 @@ def test_info_names_version_and_kernels(meshes: list[str], capsys: pytest.Captur
         (["detect", "--scene", "no.json"], "argument --scene: no.json cannot be read"),
         (["detect", "--scene", "file.txt"], "argument --scene: file.txt cannot be read"),
         (["detect", "a.obj", "--scene", "no.json"], "argument --scene: takes the place"),
+        (["detect", "a.obj", "b.obj", "--motion", "mixed.npz"], "mixed.npz has 'position_t0' beside 'x_t0'"),
+        (
+            ["detect", "a.obj", "b.obj", "--motion", "bad.npz"],
+            "bad.npz: position: waypoint 1, vertex 2: expected finite",
+        ),
+        (
+            ["detect", "no.obj", "--motion", "no.npz", "--page", "no/page.html"],
+            "argument --page: no/page.html cannot be",
+        ),
+        (["detect", "no.obj", "--motion", "no.npz", "--page", "."], "argument --page: . is a folder"),
+        (["view"], "argument MESH"),
+        (["view", "no.ply"], "argument MESH: no mesh file at no.ply"),
+        (["view", "no.ply", "--page", "file.txt/page.html"], "argument --page: file.txt/page.html cannot be written"),
+        (
+            ["view", "a.obj", "--motion", "poses.npz", "--page", "p.html"],
+            "argument --motion: motion: has 2 bodies, the scene 1",
+        ),
         (["info", "no.ply"], "argument MESH: no mesh file at no.ply"),
     ],
 )
@@ -183,6 +288,10 @@ def test_mistakes_get_one_line_and_code_2(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file.txt").write_text("text")
     np.savez(tmp_path / "empty.npz")
+    np.savez(tmp_path / "mixed.npz", x_t0=np.zeros((8, 3)), x_t1=np.zeros((8, 3)), position_t0=np.zeros((2, 3)))
+    bad = np.zeros((3, 8, 3))
+    bad[1, 2, 0] = np.nan
+    np.savez(tmp_path / "bad.npz", position=bad)
     try:
         code = main(arguments)
     except SystemExit as exit_:

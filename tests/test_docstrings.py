@@ -29,7 +29,7 @@ from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.sim.step import FIRST_CONTACTS
 
 ROOT = Path(__file__).resolve().parents[1]
-# Modules whose examples need ranks, a scheduler or GPU streams; other tests run them.
+# Modules whose examples need ranks, a scheduler, GPU streams or a server; other tests run them.
 NOT_ALONE = (
     "pgccd.distributed.checkpoint.writing",
     "pgccd.distributed.guard.guard",
@@ -39,6 +39,7 @@ NOT_ALONE = (
     "pgccd.distributed.comm.torch_comm",
     "pgccd.distributed.detection.share",
     "pgccd.runtime.host_copy",
+    "pgccd.viz.live_view",
 )
 
 

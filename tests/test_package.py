@@ -80,11 +80,11 @@ def test_mypy_outside_the_tree(tmp_path: Path) -> None:
     (tmp_path / "program.py").write_text(
         "import pgccd\n"
         "reveal_type(pgccd.Stats().contacts)\n"
-        "reveal_type(pgccd.files.load_motion('poses.npz'))\n"
+        "reveal_type(pgccd.show(*pgccd.files.load_scene('scene.json'), path='page.html'))\n"
         "reveal_type(pgccd.sim.ModelConfig().robots)\n"
     )
     environment = os.environ | {"MYPYPATH": str(ROOT)}
     command = [sys.executable, "-m", "mypy", "--cache-dir", str(tmp_path / "cache"), "program.py"]
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=280)
     revealed = [line.split('"')[1] for line in done.stdout.splitlines() if "Revealed" in line]
-    assert revealed == ["int", "pgccd.motion.paths.RigidMotion", "int"], done.stdout
+    assert revealed == ["int", "pathlib.Path", "int"], done.stdout

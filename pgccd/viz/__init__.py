@@ -2,11 +2,12 @@
 
 from pgccd.viz.animation import Marks
 from pgccd.viz.display import show
+from pgccd.viz.live_view import Live, live
 from pgccd.viz.page import Page
 from pgccd.viz.picture import world_picture
 from pgccd.viz.snapshot import Impact, Motion, Snapshot
 
-__all__ = ["Impact", "Marks", "Motion", "Page", "Snapshot", "show", "world_picture"]
+__all__ = ["Impact", "Live", "Marks", "Motion", "Page", "Snapshot", "live", "show", "world_picture"]
 
 
 def __dir__() -> list[str]:

@@ -150,6 +150,8 @@ def animation_of(
     if not isinstance(motion, (RigidMotion, VertexMotion, Trajectory)):
         expected = "a RigidMotion, VertexMotion or Trajectory"
         raise TypeError(f"motion: expected {expected}, got {arguments.describe(motion)}")
+    if fraction is not None and isinstance(motion, Trajectory):
+        raise ValueError("fraction: expected a motion of one step, got a Trajectory")
     scene._check_columns()
     require_meshes(scene.mesh_index, len(scene.meshes))
     count = scene.body_count

@@ -19,6 +19,7 @@ _MOST_BYTES = 3_550_000
 _MOST_ROWS = 36_000  # of a rigid body in a segment
 _ROW_BYTES, _BODY_BYTES, _CONTACT_BYTES = 52, 21, 79
 _MOST_CONTACTS = 2_000
+_MOST_CHOICES = 1_000  # worlds in the list of the page; those of contacts are added to it
 # Long trajectories lose waypoints before bodies or triangles, down to this number of segments.
 _LEAST_SEGMENTS = 20
 # A mesh for which less is left is not simplified further; bodies are left out instead.
@@ -262,7 +263,7 @@ def _body_columns(animation: Animation, drawn: _Drawn, scale: float) -> dict[str
         columns["fraction"] = encoded(animation.fraction[rows], np.float32)
     if animation.world is not None:
         columns["world"] = encoded(animation.world[rows], np.int32)
-        columns["worlds"] = np.unique(animation.world[rows])[:1000].tolist()
+        columns["worlds"] = np.unique(animation.world[rows])[:_MOST_CHOICES].tolist()
     if animation.margin is not None:
         columns["margin"] = encoded(animation.margin[rows] / scale, np.float32)
     return columns

@@ -75,7 +75,8 @@ def show(
             notebook the page is displayed by the object returned; elsewhere it is written to a temporary file and
             opened in the browser, or, without a display, its path is written to standard error.
         fraction: body i moves on x_i(fraction_i t): a number or (N,) in [0, 1], such as `fraction` of
-            `pgccd.resolve`. A box on the page switches to whole paths, on which contacts are. Not in GLB files.
+            `pgccd.resolve`; not with a `Trajectory`. A box on the page switches to whole paths, on which contacts are.
+            Not in GLB files.
         title: of the page. Default: numbers of bodies and contacts.
 
     Returns:
@@ -101,8 +102,8 @@ def show(
         warnings.warn(f"show: {' '.join(page.left_out)}", stacklevel=2)
     if path is not None:
         return page.save(path)
-    if not _is_in_notebook():
-        _open(page)
+    if not _is_in_notebook() and not open_page(page):
+        sys.stderr.write(f"pgccd.show: the page is {page.path}\n")
     return page
 
 
@@ -133,11 +134,10 @@ def _is_in_notebook() -> bool:
     return hasattr(found, "kernel")
 
 
-def _open(page: Page) -> None:
-    """Writes the page to a temporary file and opens it in the browser; without a display, tells where it is."""
+def open_page(page: Page) -> bool:
+    """Writes the page to a temporary file, and opens it in the browser if there is a display; returns whether so."""
     with tempfile.NamedTemporaryFile(prefix="pgccd-", suffix=".html", delete=False) as file:
         path = page.save(file.name)
     has_display = sys.platform in ("darwin", "win32") or "DISPLAY" in os.environ or "WAYLAND_DISPLAY" in os.environ
     # Without a display, browsers of a terminal would block the program.
-    if not (has_display and webbrowser.open(path.as_uri())):
-        sys.stderr.write(f"pgccd.show: the page is {path}\n")
+    return has_display and webbrowser.open(path.as_uri())

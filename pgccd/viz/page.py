@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -53,10 +54,8 @@ class Page:
             "@FIGURES@": lines,
             "@DATA@": json.dumps(data, separators=(",", ":")),
         }
-        page = _TEMPLATE.read_text(encoding="utf-8")
-        for name, text in filled.items():
-            page = page.replace(name, text)
-        self.html = page
+        template = _TEMPLATE.read_text(encoding="utf-8")
+        self.html = re.sub("|".join(filled), lambda found: filled[found[0]], template)
 
     @classmethod
     def of(
