@@ -22,13 +22,19 @@ SANITIZED = tests/kernels/test_rows.py tests/detection/test_search_in_parts.py t
 	tests/detection/test_device_share.py tests/sim tests/distributed/test_subdomain.py \
 	--ignore tests/sim/test_captured.py -m "cuda and not slow" -k "not graph and not compile and not one_wait"
 
-.PHONY: demo test sanitize lint bench bench-peers build wheel clean
+.PHONY: demo test docs sanitize lint bench bench-peers build wheel clean
 
 demo: $(EXTENSION)
 	$(VENV_PYTHON) -m pgccd simulate --robots 10000 --steps 20 --world random --out out/demo --overwrite
 
 test: $(EXTENSION)
 	$(VENV_PYTHON) -m pytest -q $(PARALLEL)
+
+# The site. It runs the examples; warnings are errors.
+docs: $(EXTENSION)
+	rm -rf docs/tutorials out/docs
+	$(VENV_PYTHON) -m sphinx -W --keep-going -q -b html -d build/docs docs out/docs
+	@echo "site: out/docs/index.html"
 
 sanitize: $(EXTENSION)
 	for tool in memcheck racecheck initcheck; do \
@@ -57,7 +63,7 @@ wheel: $(ENVIRONMENT)
 	$(VENV_PYTHON) -m build_support.wheel
 
 clean:
-	rm -rf build dist out pgccd/*.so *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	rm -rf build dist out docs/tutorials pgccd/*.so *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -not -path './.venv/*' -prune -exec rm -rf {} +
 
 $(CUDA_SETTING):

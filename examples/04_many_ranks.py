@@ -1,55 +1,114 @@
-"""A thousand tumbling boxes on several ranks, in a user's own loop. Results are bitwise equal for any number of ranks:
+"""
+Many bodies on 1 and 4 ranks
+============================
 
-python examples/04_many_ranks.py
-torchrun --nproc-per-node 2 examples/04_many_ranks.py        (add "cuda" for one GPU per rank)
+A thousand tumbling boxes in a loop of your own, distributed over ranks: processes with one GPU or some CPU cores each.
+The same program runs on any number of ranks, and its results are equal to the last bit:
+
+.. code-block:: sh
+
+    python examples/04_many_ranks.py
+    torchrun --nproc-per-node 4 examples/04_many_ranks.py        # add "cuda" for one GPU per rank
+
+Without a launcher the program below runs on one rank, and then starts itself again on four ranks on this machine's CPU,
+which talk through Gloo, so that you can compare the lines.
 """
 
+import hashlib
+import os
+import subprocess
 import sys
+import tempfile
 
+import matplotlib.pyplot as plt
+import numpy as np
 import torch
-import trimesh
 
 import pgccd
 from pgccd import distributed
 
-with distributed.connect(sys.argv[1] if len(sys.argv) > 1 else "cpu") as comm:
-    device = distributed.choose_device(sys.argv[1] if len(sys.argv) > 1 else "cpu")
-    box = pgccd.Mesh.from_trimesh(trimesh.creation.box((1.0, 0.6, 0.3)).subdivide())
+name = sys.argv[1] if len(sys.argv) > 1 else "cpu"
+box = pgccd.Mesh.box([1.0, 0.6, 0.3])
 
+# %%
+# `distributed.connect` connects the ranks that were launched together; one process alone is one rank. Each rank passes
+# any share of the bodies to `World.create`, which sends them to their owners: each rank owns a part of space. What a
+# body carries besides its position is its payload. It migrates with the body.
+
+
+def create_world(comm: distributed.Comm) -> distributed.World:
     torch.manual_seed(0)
     position = 1.5 * torch.cartesian_prod(*[torch.arange(10.0, dtype=torch.float64)] * 3)
     orientation = torch.nn.functional.normalize(torch.randn(1000, 4, dtype=torch.float64))
     velocity, spin = torch.randn(2, 1000, 3, dtype=torch.float64)
-
-    # Each rank starts with every size-th body; World.create migrates them to their owners.
-    share = torch.arange(comm.rank, 1000, comm.size)
-    world = distributed.World.create(
+    share, device = torch.arange(comm.rank, 1000, comm.size), distributed.choose_device(name)
+    columns = {"orientation": orientation, "velocity": velocity, "spin": spin}
+    return distributed.World.create(
         [box],
         (0.0, 0.0, 0.0),
         (13.5, 13.5, 13.5),
         position[share].to(device),
         id=share,
-        payload={
-            "orientation": orientation[share].to(device),
-            "velocity": velocity[share].to(device),
-            "spin": spin[share].to(device),
-        },
+        payload={key: column[share].to(device) for key, column in columns.items()},
         comm=comm,
         nonzero_toi=True,
     )
+
+
+# %%
+# The loop. `World.step` returns the contacts of the bodies that this rank owns, wherever their partners are. All bodies
+# of all ranks move by the same fraction of the step, just less than the first contact of all; those that would touch
+# soon turn round. `World.move` writes the new state and migrates bodies that have left this rank's part of space.
+
+with distributed.connect(name) as comm:
+    world = create_world(comm)
     dt, time = 0.1, 0.0
     for step in range(20):
-        mine = world.payload  # of the bodies that this rank now owns
+        mine = world.payload  # of the bodies that this rank owns now
         motion = pgccd.RigidMotion.from_velocity(
             world.position, mine["orientation"], mine["velocity"], mine["spin"], dt
         )
         first = world.first_toi(world.step(motion))
-        # As in 02_simulation_loop.py, all bodies move by the same fraction of the step, here the least of all ranks.
         fraction = comm.min(torch.cat([0.9 * first, first.new_ones(1)]).amin()[None])
         position, orientation = motion.at(fraction)
         sign = torch.where(first < 2.0 * fraction, -1.0, 1.0)[:, None]
         world.move(position, orientation=orientation, velocity=sign * mine["velocity"], spin=sign * mine["spin"])
         time += dt * float(fraction)
         turned = int(comm.sum((sign < 0.0).sum()[None]))
-        if comm.rank == 0:
-            print(f"step {step:2d}: {turned} bodies turn; time {time:.4f}; rank 0 owns {len(world.id)}")
+        if comm.rank == 0 and step % 5 == 4:
+            at = f"{comm.size} ranks, step {step:2d}, time {time:.6f}"
+            print(f"{at}: {turned} bodies turn; rank 0 owns {len(world.id)}")
+
+    # Every rank adds its rows to a table by id, so that all hold the positions of all bodies.
+    position = world.position.new_zeros(1000, 3)
+    position[world.id] = world.position
+    owner = world.id.new_zeros(1000)
+    owner[world.id] = comm.rank
+    position, owner = comm.sum(position).cpu(), comm.sum(owner).cpu()
+    rank, ranks = comm.rank, comm.size
+
+# %%
+# The hash covers every bit of all positions. It is the same on one rank and on four. The picture shows which of four
+# ranks owns each body.
+
+digest = hashlib.sha256(position.numpy().tobytes()).hexdigest()[:16]
+if rank == 0:
+    print(f"{ranks} ranks: positions {digest}")
+if rank == 0 and len(sys.argv) > 2:
+    np.save(sys.argv[2], owner)
+
+if distributed.find_placement().launcher == "none" and name == "cpu":
+    with tempfile.TemporaryDirectory() as folder:
+        program = [sys.argv[0], "cpu", f"{folder}/owners.npy"]
+        command = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node", "4", *program]
+        one_thread = os.environ | {"OMP_NUM_THREADS": "1"}
+        done = subprocess.run(command, env=one_thread, capture_output=True, text=True, check=True)
+        owner_of_four = np.load(f"{folder}/owners.npy")
+    print(done.stdout)
+    assert digest in done.stdout, "four ranks gave other positions than one"
+
+    figure = plt.figure(figsize=(6.5, 5.5))
+    axes = figure.add_subplot(projection="3d")
+    axes.scatter(*position.T, c=owner_of_four, cmap="tab10", vmin=0, vmax=9, s=10)
+    axes.set(xlabel="x", ylabel="y", zlabel="z", title="owner of each body on 4 ranks")
+    plt.show()

@@ -1,23 +1,29 @@
-"""An arm of four links follows joint angles through waypoints; up to where is it certainly free of contact?
+"""
+A robot arm's trajectory
+========================
 
-The links of an arm do not follow the tested arcs: joints turn at constant rates between waypoints, so the origin of
-each link moves along a curve and its rotation is a product of several. But both paths have the same poses at the
-waypoints, and differ little in between. With s in [0, 1] along a segment and a point's positions x(s) on the true path
-and y(s) on the arc, x - y is zero at both ends, so
+An arm of four links follows joint angles through waypoints; up to where is it certainly free of contact? All segments
+are tested in one call, and the answer holds for the true path of the arm, not for an approximation of it.
 
-    |x - y| <= max |x'' - y''| / 8 <= (max |x''| + max |y''|) / 8.
+The links do not follow the tested arcs: joints turn at constant rates between waypoints, so the origin of each link
+moves along a curve and its rotation is a product of several. But both paths have the same poses at the waypoints, and
+differ little in between. With s in [0, 1] along a segment and a point's positions x(s) on the true path and y(s) on the
+arc, x - y is zero at both ends, so::
 
-*True path.* Joint k turns by d_k at a constant rate, so a link turns at the rate w(s) = sum of d_k a_k(s) over its
+    |x - y| <= max |x'' - y''| / 8 <= (max |x''| + max |y''|) / 8
+
+*True path.* Joint k turns by d_k at a constant rate, so a link turns at the rate w(s), the sum of d_k a_k(s) over its
 joints, where a_k is the axis, rotated by the joints before it. Joints j and k contribute an acceleration of at most
-|d_j| |d_k| times the point's distance from the later of the two; in sum at most (sum of |d_k|)^2 L, with L the link's
-reach from the first joint.
+``|d_j| |d_k|`` times the point's distance from the later of the two; in sum at most ``(sum of |d_k|)^2 L``, with L the
+link's reach from the first joint.
 
-*Arc.* The origin moves along a straight line, and the link turns about it by at most the sum of |d_k|:
-|y''| <= (sum of |d_k|)^2 r, with r the link's reach from its origin.
+*Arc.* The origin moves along a straight line, and the link turns about it by at most the sum of ``|d_k|``, so
+``|y''| <= (sum of |d_k|)^2 r``, with r the link's reach from its origin.
 
-This bound is the link's margin. It is quadratic in the step: doubling the waypoints quarters it.
+The sum of both, divided by 8, is the link's margin. It is quadratic in the step: doubling the waypoints quarters it.
 """
 
+import matplotlib.pyplot as plt
 import numpy as np
 import torch
 
@@ -27,12 +33,8 @@ LINKS, LENGTH, WIDTH, WAYPOINTS = 4, 1.0, 0.12, 40
 AXES = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [0.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
 
 
-def box(lower: tuple[float, ...], upper: tuple[float, ...]) -> pgccd.Mesh:
-    """A box with its origin at the zero of its coordinates; for a link this is its joint."""
-    ends = np.array([lower, upper])
-    corners = np.array([[ends[i, 0], ends[j, 1], ends[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
-    faces = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1]]
-    return pgccd.Mesh(corners, [*faces, [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]])
+# %%
+# Forward kinematics, in NumPy: quaternions are (w, x, y, z), body to world.
 
 
 def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -55,10 +57,16 @@ def tip_of(position: np.ndarray, q: np.ndarray) -> np.ndarray:
     return position + along + 2 * np.cross(q[1:], np.cross(q[1:], along) + q[0] * along)
 
 
-link = box((0.05, -WIDTH / 2, -WIDTH / 2), (LENGTH - 0.05, WIDTH / 2, WIDTH / 2))
-obstacle = box((-0.2, -0.2, -0.2), (0.2, 0.2, 0.2))
+# %%
+# A link is a beam whose origin is at its joint: a pose says where the joint is, and the link turns about it.
 
+beam = pgccd.Mesh.box([LENGTH - 0.1, WIDTH, WIDTH])
+link = pgccd.Mesh(beam.vertices, beam.faces, origin=(-LENGTH / 2, 0.0, 0.0))
+obstacle = pgccd.Mesh.box([0.4, 0.4, 0.4])
+
+# %%
 # A path in joint space; the obstacle is a body at rest.
+
 start, goal = np.array([-0.8, 0.3, -0.5, 0.2]), np.array([0.9, -0.4, 0.6, 0.5])
 joints = start + np.linspace(0.0, 1.0, WAYPOINTS)[:, None] * (goal - start)
 poses = [forward(angles) for angles in joints]
@@ -66,13 +74,18 @@ place, upright = np.array([2.4, 1.2, 0.0]), np.array([1.0, 0.0, 0.0, 0.0])
 position = torch.tensor(np.array([[*x, place] for x, _ in poses]))  # (T, N, 3)
 orientation = torch.tensor(np.array([[*q, upright] for _, q in poses]))  # (T, N, 4)
 
+# %%
+# The margins, from the bound above.
+
 turn = np.abs(np.diff(joints, axis=0)).cumsum(axis=1).max(axis=0)  # (LINKS,): sum over the joints up to each link
 reach = LENGTH * np.arange(LINKS) + link.reach  # farthest point of the link from the first joint
 margin = (turn**2 * reach + turn**2 * link.reach) / 8.0
 print("margins:", ", ".join(f"{m:.2g}" for m in margin))
 
+# %%
 # Neighbouring links are joined, so links are not tested against each other; the arm (bit 1) is tested against the
 # obstacle (bit 2).
+
 scene = pgccd.Scene(
     [link, obstacle],
     [0] * LINKS + [1],
@@ -87,7 +100,9 @@ for (i, _), segment, toi in zip(hits.pairs.tolist(), hits.segment.tolist(), hits
 free = float(hits.first_toi().clamp(max=1.0))
 print(f"free for certain: the first {100 * free:.2f} % of the path")
 
-# Deviation of the true path from the arcs, half-way along each segment at the tip of the last link.
+# %%
+# The bound, checked: deviation of the true path from the arcs, half-way along each segment at the tip of the last link.
+
 strays = 0.0
 for k in range(WAYPOINTS - 1):
     x, q = (pose.numpy()[:LINKS] for pose in trajectory.segment(k).at(0.5))
@@ -96,3 +111,23 @@ for k in range(WAYPOINTS - 1):
     strays = max(strays, float(np.linalg.norm(tips[0] - tips[1])))
 print(f"the tip strays from its arc by {strays:.2g}, within its margin {margin[-1]:.2g}")
 assert strays <= margin[-1]
+
+# %%
+# The arm at every fourth waypoint; red from the first waypoint that is no longer certain.
+
+figure = plt.figure(figsize=(7.5, 6.0))
+axes = figure.add_subplot(projection="3d")
+for k in range(0, WAYPOINTS, 4):
+    x, q = poses[k]
+    joints_and_tip = np.array([*x, tip_of(x[-1], q[-1])])
+    axes.plot(*joints_and_tip.T, "o-", ms=3, lw=3, color="tab:red" if k / (WAYPOINTS - 1) > free else "tab:blue")
+axes.plot_trisurf(*(obstacle.vertices.numpy() + place).T, triangles=obstacle.faces.numpy(), color="0.5", alpha=0.8)
+axes.set(xlabel="x", ylabel="y", zticks=[], title=f"free of contact: the first {100 * free:.1f} % of the path")
+axes.set_aspect("equal")
+axes.view_init(elev=65.0, azim=-90.0)
+plt.show()
+
+# %%
+# All of it, with the contacts:
+
+pgccd.show(scene, trajectory, hits)

@@ -1,5 +1,5 @@
 """Scenes of public reports that other libraries miss a continuous collision or return a wrong result, rebuilt from the
-reports' texts: docs/reported_failures.md.
+reports' texts: docs/explanation/reported_failures.md.
 """
 
 from __future__ import annotations

@@ -20,7 +20,8 @@ from pgccd.motion.trajectory import Trajectory
 
 # Rows at a time, to bound memory.
 _ROWS = 1 << 16
-# Error of a rigid body's point in the frame of another body, in units of the reach of each: see docs/exactness.md.
+# Error of a rigid body's point in the frame of another body, in units of the reach of each: see
+# docs/explanation/exactness.md.
 _POINT_ERROR = 2.0**-45
 
 

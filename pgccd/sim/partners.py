@@ -26,7 +26,7 @@ class Partners:
     paths, and `pgccd.detection.passes.pairs_of_rounds` has the pair. No broad phase is needed in a round.
 
     Two that move by the same fraction are not searched: they are at equal times of their whole paths, before the first
-    toi that the search of the whole step has certified (docs/exactness.md, "Rounds of the simulation").
+    toi that the search of the whole step has certified (docs/explanation/exactness.md, "Rounds of the simulation").
 
     Args:
         model: the rules.

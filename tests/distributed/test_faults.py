@@ -1,6 +1,6 @@
 """Failures of a job: a one-line message, an exit code, and no loss of data.
 
-docs/faults.md has the table.
+docs/reference/faults.md has the table.
 """
 
 from __future__ import annotations

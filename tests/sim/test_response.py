@@ -227,7 +227,7 @@ def test_affected_pairs_have_a_robot_that_changed_and_different_fractions(device
 
 
 def test_equal_fractions_follow_the_whole_path() -> None:
-    """The ends of shortened paths are within the bound of docs/exactness.md, 12, of the whole path's points."""
+    """The ends of shortened paths are within the bound of docs/explanation/exactness.md, 12, of the whole path."""
     model = Model(ModelConfig(robots=500, seed=6))
     state = model.plan(model.start(), 0)
     fraction = torch.rand(500, dtype=torch.float64, generator=torch.Generator().manual_seed(3))
