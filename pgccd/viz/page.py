@@ -67,7 +67,13 @@ class Page:
         fraction: Tensor | float | None = None,
         title: str | None = None,
     ) -> Page:
-        """A page of any scene. Arguments and errors as for `pgccd.show`.
+        """A page of any scene.
+
+        Args:
+            scene, motion, hits, fraction, title: as for `pgccd.show`.
+
+        Raises:
+            TypeError, ValueError: as for `pgccd.show`.
 
         Example:
             >>> pgccd.viz.Page.of(scene, motion, hits).left_out
@@ -79,7 +85,10 @@ class Page:
 
     @classmethod
     def of_snapshot(cls, snapshot: Snapshot) -> Page:
-        """A page of a world after a step: such as from `pgccd.sim.snapshot_of_step`.
+        """A page of a world after a step.
+
+        Args:
+            snapshot: such as from `pgccd.sim.snapshot_of_step`.
 
         Example:
             >>> pgccd.viz.Page.of_snapshot(pgccd.sim.snapshot_of_step(model, step)).save("model.html")
