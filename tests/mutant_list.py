@@ -457,15 +457,29 @@ _SEPARATIONS = [
     Mutant(
         "later-leaves-0.999",
         "csrc/kernels/pipeline/pipeline_cpu.cpp",
-        "leaves.begin > horizon[leaves.pair]",
-        "leaves.begin > 0.999 * horizon[leaves.pair]",
+        "w.leaves.begin > latest",
+        "w.leaves.begin > 0.999 * latest",
         ("detection/test_search_in_parts.py",),
     ),
     Mutant(
         "earliest-limit-0.999",
         "csrc/kernels/pipeline/pipeline_cpu.cpp",
-        "std::vector<double>(size, earliest)",
-        "std::vector<double>(size, 0.999 * earliest)",
+        "std::vector<double>(size, smaller(earliest, 1.0))",
+        "std::vector<double>(size, 0.999 * smaller(earliest, 1.0))",
+        ("detection/test_search_in_parts.py",),
+    ),
+    Mutant(
+        "part-of-the-time-searched-taken-for-one-of-the-step",
+        "csrc/kernels/pipeline/pipeline_cpu.cpp",
+        "static_cast<float>(leaves.begin * until)",
+        "leaves.begin",
+        ("detection/test_search_in_parts.py",),
+    ),
+    Mutant(
+        "leaves-of-the-first-feature-left-out",
+        "csrc/kernels/pipeline/pipeline_cpu.cpp",
+        "w.first > known[w.leaves.pair]",
+        "w.first >= known[w.leaves.pair]",
         ("detection/test_search_in_parts.py",),
     ),
     Mutant(

@@ -97,5 +97,10 @@ def test_all_documents_are_found() -> None:
 @pytest.mark.parametrize("spacing", ["2.1", "210.0"], ids=["contacts", "no contact"])
 def test_readme(spacing: str) -> None:
     names = run_document(ROOT / "README.md", "2.1 *", f"{spacing} *")
+    assert (len(names["hits"]) > 0) == (spacing == "2.1")
+
+
+def test_captured_contacts_are_those_of_the_step() -> None:
+    names = run_document(DOCUMENTS["cuda_graphs.md"])
+    assert len(names["contacts"]) > 0
     assert torch.equal(names["contacts"].toi, names["hits"].trim().toi)
-    assert (len(names["contacts"]) > 0) == (spacing == "2.1")
