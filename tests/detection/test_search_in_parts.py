@@ -162,6 +162,22 @@ def tip(centre: float) -> tuple[np.ndarray, np.ndarray]:
     return axes, ends
 
 
+def with_a_likely_pair(
+    scene: pgccd.Scene, motion: pgccd.RigidMotion, toi: float
+) -> tuple[pgccd.Scene, pgccd.RigidMotion]:
+    """Two more bodies, cubes deep within each other's spheres, that touch at `toi`."""
+    cube = pgccd.Mesh(np.array(list(np.ndindex(2, 2, 2))) * 2.0 - 1.0, CUBE_FACES)
+    far = torch.tensor([[100.0, 0.0, 0.0], [102.001, 0.0, 0.0]], dtype=torch.float64, device=scene.device)
+    closer = torch.tensor([[0.001 / toi, 0.0, 0.0], [0.0, 0.0, 0.0]], dtype=torch.float64, device=scene.device)
+    columns = (motion.position_t0, motion.position_t1, motion.orientation_t0)
+    start, end, unit = (
+        torch.cat([column, more]) for column, more in zip(columns, (far, far + closer, columns[2]), strict=True)
+    )
+    meshes = [*scene.meshes.meshes, cube]
+    joined_scene = pgccd.Scene(meshes, [*scene.mesh_index.tolist(), 2, 2], device=scene.device)
+    return joined_scene, pgccd.RigidMotion(start, unit, end, unit)
+
+
 def test_later_leaves_meet_just_before(device: torch.device) -> None:
     """Two tips move along x: one among shards, the other against a wall that it touches just before the first contact
     with the shards. Often the leaf of the shards begins before the wall.
@@ -181,6 +197,8 @@ def test_later_leaves_meet_just_before(device: torch.device) -> None:
         for report in ("first", "earliest"):
             first = assert_parts_agree(scene, motion, report, 0.0)
             assert first.toi is not None and 0.9995 * touched < float(first.toi) < 0.9998 * touched
+        # Two others touch a little later, and are searched before: these leaves then begin at a part of that time.
+        assert_parts_agree(*with_a_likely_pair(scene, motion, 1.002 * touched), "earliest", 0.0)
         checked += 1
     assert checked > 20
 
@@ -221,7 +239,7 @@ def test_leaves_do_not_meet_before_their_time(tmp_path: Path) -> None:
     run_program(TIMES, tmp_path)
 
 
-@pytest.mark.parametrize("separation", [0.0, 0.3])
+@pytest.mark.parametrize("separation", [0.0, 0.3, 1.0])
 @pytest.mark.parametrize("depth", [-0.01, 0.0, 0.4])
 @pytest.mark.parametrize("report", FIRST)
 def test_one_contact_of_many_at_the_start(

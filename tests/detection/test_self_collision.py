@@ -318,7 +318,8 @@ def test_cuda_gives_the_bits_of_the_cpu() -> None:
                     for device in ("cpu", "cuda")
                 )
                 assert_same(one, other)
-                assert one.stats.candidates == other.stats.candidates or report in ("first", "earliest")
+                # How many are searched for one contact of each pair depends on the device.
+                assert one.stats.candidates == other.stats.candidates or report != "all"
 
 
 @pytest.mark.slow

@@ -19,7 +19,7 @@ from pgccd import distributed
 from pgccd.distributed import Alone, Comm
 from pgccd.distributed.world import captured as captured_world
 
-PAGE = ROOT / "docs" / "cluster.md"
+PAGE = ROOT / "docs" / "how-to" / "cluster.md"
 DOCUMENTS = [ROOT / "examples" / "04_many_ranks.py", PAGE]
 Rows = list[list[float]]
 
@@ -31,6 +31,8 @@ def follow(comm: Comm, document: Path, folder: str, graph: bool = False, device:
         os.chdir(folder)
         stack.enter_context(mock.patch.object(distributed, "connect", lambda _: comm))
         stack.enter_context(mock.patch.object(comm, "close"))
+        # The example starts ranks if no launcher has.
+        stack.enter_context(mock.patch.object(distributed, "find_placement", lambda: mock.Mock(launcher="tests")))
         stack.enter_context(mock.patch.object(captured_world, "can_replay", lambda *_: graph))
         stack.enter_context(mock.patch.object(sys, "argv", [document.name, device]))
         stack.enter_context(contextlib.redirect_stdout(io.StringIO()))

@@ -64,6 +64,7 @@ def test_compiler_is_downloaded_only_where_it_is_needed(
     monkeypatch.setattr(bootstrap, "install_torch", lambda: {"version": "2.13.0", "cuda": "13.0", "gpus": gpus})
     monkeypatch.setattr(bootstrap, "create_environment", lambda: None)
     monkeypatch.setattr(bootstrap, "install_packages", lambda _: None)
+    monkeypatch.setattr(bootstrap, "index_is_reachable", lambda: True)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(bootstrap, "ROOT", tmp_path)
     monkeypatch.setenv("PATH", "/usr/bin")
