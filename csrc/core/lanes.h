@@ -8,6 +8,7 @@
 namespace pgccd {
 
 PGCCD_HD bool all_lanes(bool mask) { return mask; }
+PGCCD_HD bool any_lane(bool mask) { return mask; }
 
 // The same vector in each lane of the second argument's type.
 PGCCD_HD Vec3<float> in_all_lanes(Vec3<float> v, float) { return v; }
@@ -58,6 +59,7 @@ inline float largest_lane(Float8 x) {
   x = larger(x, __builtin_shuffle(x, Mask8{2, 3, 0, 1, 6, 7, 4, 5}));
   return larger(x[0], x[1]);
 }
+inline bool any_lane(Mask8 mask) { return lane_bits(mask) != 0; }
 inline bool all_lanes(Mask8 mask) { return lane_bits(mask) == (1u << kLanes) - 1; }
 
 #endif

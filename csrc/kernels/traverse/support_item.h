@@ -16,7 +16,8 @@ PGCCD_HD T bound(Vec3<T> direction, Word&& word) {
   const T zero = T{}, one = zero + 1.0f, two = zero + 2.0f;
   const T x = larger(direction.x, -direction.x), y = larger(direction.y, -direction.y),
           z = larger(direction.z, -direction.z);
-  const auto along_x = (x >= y) & (x >= z), along_y = y >= z;
+  const auto along_y = y >= z;
+  const auto along_x = x >= larger(y, z);
   const T length = larger(x, larger(y, z));
   const T side = along_x ? direction.x : (along_y ? direction.y : direction.z);
   const T first = along_x ? direction.y : (along_y ? direction.z : direction.x);
@@ -49,7 +50,6 @@ template <class T>
 PGCCD_HD auto supports_separate(const PairTree<RigidBodies>& tree, const SplitPair& split, int k, int slot) {
   const RigidSweep& sweep = tree.sweep();
   const int side = split.side(), other_side = 1 - side;
-  const LocalPose &at_start = tree.pose(k - 1), &at_end = tree.pose(k);
   const NodeBlock &block = sweep.blocks[side][split.block()],
                   &other_block = sweep.blocks[other_side][block_of(split.other())];
   const int other_slot = slot_of(split.other());
@@ -59,23 +59,26 @@ PGCCD_HD auto supports_separate(const PairTree<RigidBodies>& tree, const SplitPa
     return RigidSweep::place(pose.of[side], centre) -
            in_all_lanes(RigidSweep::place(pose.of[other_side], other_centre), T{});
   };
-  const Vec3<T> start = offset(at_start), end = offset(at_end), direction = start + end;
-  T gap;
-  const auto has_length = overlap_detail::find_least_gap(direction, sweep.inflation, gap);
-
+  const Vec3<T> start = offset(tree.pose(k - 1)), end = offset(tree.pose(k)), direction = start + end;
+  T least_gap;
+  auto apart = overlap_detail::find_least_gap(direction, sweep.inflation, least_gap);
+  const T along_start = dot(direction, start), along_end = dot(direction, end);
   const T reach = load<T>(block.radius + slot) * kSupportStep;
   const float other_reach = other_block.radius[other_slot] * kSupportStep;
-  const int32_t* const words = tree.support(side, split.node(slot)).rows[0];
-  const int32_t* const other_words = tree.support(other_side, split.other()).rows[0];
-  const auto gap_at = [&](const LocalPose& pose, Vec3<T> centres) {
-    const T below = support_detail::bound(RigidSweep::pulled_back(pose.of[side], -direction), [&](auto word) {
-      return load_at(words, word + kSupportWords * lane_numbers(T{}));
+  PGCCD_KEEP_LOOP
+  for (int of = 0; of < 2; ++of) {
+    const LocalPose& pose = tree.pose(k - 1 + of);
+    const T above = support_detail::bound(RigidSweep::pulled_back(pose.of[other_side], direction), [&](auto word) {
+      return load_at(tree.support(other_side, split.other()).rows[0], word);
     });
-    const T above = support_detail::bound(RigidSweep::pulled_back(pose.of[other_side], direction),
-                                          [&](auto word) { return load_at(other_words, word); });
-    return dot(direction, centres) - (reach * below + other_reach * above);
-  };
-  return has_length & (gap_at(at_start, start) > gap) & (gap_at(at_end, end) > gap);
+    const T below = support_detail::bound(RigidSweep::pulled_back(pose.of[side], -direction), [&](auto word) {
+      return load_at(tree.support(side, split.node(slot)).rows[0], word + kSupportWords * lane_numbers(T{}));
+    });
+    const T gap = (of == 0 ? along_start : along_end) - (reach * below + other_reach * above);
+    apart = apart & (gap > least_gap);
+    if (!any_lane(apart)) break;
+  }
+  return apart;
 }
 
 // Deforming bodies have no samples.
