@@ -408,22 +408,22 @@ _SUPPORTS = [
     Mutant(
         "support-sample-to-nearest",
         "csrc/mesh/node_support.cpp",
-        "std::ceil(std::clamp(support[q] / step, 0.0, 255.0))",
-        "std::round(std::clamp(support[q] / step, 0.0, 255.0))",
+        "std::ceil(steps[q])",
+        "std::round(steps[q])",
         ON_SUPPORTS,
     ),
     Mutant(
         "support-sample-0.999",
         "csrc/mesh/node_support.cpp",
-        "std::ceil(std::clamp(support[q] / step, 0.0, 255.0))",
-        "std::ceil(0.999 * std::clamp(support[q] / step, 0.0, 255.0))",
+        "std::ceil(steps[q])",
+        "std::ceil(0.999 * steps[q])",
         ON_SUPPORTS,
     ),
     Mutant(
         "support-sample-at-most-253",
         "csrc/mesh/node_support.cpp",
-        "std::ceil(std::clamp(support[q] / step, 0.0, 255.0))",
-        "std::ceil(std::clamp(support[q] / step, 0.0, 253.0))",
+        "none + 255.0",
+        "none + 253.0",
         ON_SUPPORTS,
     ),
     Mutant(

@@ -1,6 +1,5 @@
 #include "mesh/node_support.h"
 
-#include <algorithm>
 #include <cmath>
 
 #include "mesh/point_columns.h"
@@ -17,6 +16,7 @@ struct Directions {
   Double4 along[3];
 };
 
+using Int4 = int32_t __attribute__((vector_size(16)));
 using Samples = std::array<Double4, kSampleRows>;
 
 std::array<Directions, kSampleRows> make_directions() {
@@ -58,19 +58,18 @@ Samples sample_leaf(const Hierarchy& tree, const NodeLink& leaf, const double* v
 
 // Relative to the node's centre, rounded up to whole steps.
 NodeSupport rounded_up(const Samples& samples, Vec3<double> centre, double radius) {
-  // More than the rounding of both projections.
+  // More than the rounding of both projections and of the number of steps.
   const double slack = 1e-14 * (std::abs(centre.x) + std::abs(centre.y) + std::abs(centre.z) + radius);
-  const double step = radius * double{kSupportStep};
+  const double steps_a_length = 1.0 / (radius * double{kSupportStep});
+  const Double4 none{}, most = none + 255.0;  // all vertices are within the radius, hence within 255 steps
   NodeSupport out;
   for (int row = 0; row < kSampleRows; ++row) {
     const Double4 support = samples[row] - projections(kDirections[row], centre) + slack;
-    uint32_t word = 0;
-    for (int q = 0; q < kDoubleLanes; ++q) {
-      // All vertices are within the radius, hence within 255 steps.
-      const double steps = std::ceil(std::clamp(support[q] / step, 0.0, 255.0));
-      word |= static_cast<uint32_t>(steps) << (8 * q);
-    }
-    out.rows[row / (kSupportCells + 1)][row % (kSupportCells + 1)] = static_cast<int32_t>(word);
+    Double4 steps = smaller(larger(steps_a_length * support, none), most);
+    for (int q = 0; q < kDoubleLanes; ++q) steps[q] = std::ceil(steps[q]);
+    const Int4 bytes = __builtin_convertvector(steps, Int4);
+    out.rows[row / (kSupportCells + 1)][row % (kSupportCells + 1)] =
+        bytes[0] | bytes[1] << 8 | bytes[2] << 16 | bytes[3] << 24;
   }
   return out;
 }

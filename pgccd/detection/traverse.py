@@ -42,7 +42,7 @@ def find_candidates(
         candidates (C, 4) int32: index into `pairs`, kind (see `pgccd.Kind`), feature of i, feature of j. Every
         feature pair that may touch is listed exactly once (representative triangles, Curtis et al. 2008). Of a pair
         (i, i) they are of kind VF_AB, EE with the smaller edge first, or EF_AB. The order of rows is not specified.
-        node_tests (1,) int64: number of node pairs tested.
+        node_tests (1,) int64: number of node pairs tested below the roots.
 
     Raises:
         TypeError, ValueError: naming the argument.
