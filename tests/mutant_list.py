@@ -385,6 +385,21 @@ _SUPPORTS = [
         ON_SUPPORTS,
     ),
     Mutant(
+        "support-direction-not-scaled",
+        TRAVERSE + "support_item.h",
+        "(1.0f / square_root(length_squared)) * sum",
+        "sum",
+        ("detection/test_extremes.py",),
+    ),
+    Mutant(
+        "support-gap-rounding",
+        TRAVERSE + "support_item.h",
+        "sweep.inflation * (1.0f + 8.0f * Precision<float>::unit)",
+        "sweep.inflation",
+        ON_SUPPORTS,
+        equivalent=_LOCAL_ROUNDING + ", which is part of the inflation: its 8 units are among those 64",
+    ),
+    Mutant(
         "support-at-the-start-only",
         TRAVERSE + "support_item.h",
         "of < 2",

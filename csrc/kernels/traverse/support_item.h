@@ -45,7 +45,8 @@ PGCCD_HD T bound(Vec3<T> direction, Word&& word) {
 // True where the children of a split from `slot` on, as many as T has lanes, certainly stay apart from the other node
 // over segment k, along the mean of the line from its centre to theirs: a fixed direction (see `separates`), along
 // which a node reaches as far from its centre as its support function in the directions pulled back at both ends. The
-// error of all this is below 32 units of rounding; the inflation includes 64.
+// error of all this is below 32 units of rounding; the inflation includes 64. The direction has unit length: with large
+// bodies, the scale of the poses times that of centres near one another would underflow.
 template <class T>
 PGCCD_HD auto supports_separate(const PairTree<RigidBodies>& tree, const SplitPair& split, int k, int slot) {
   const RigidSweep& sweep = tree.sweep();
@@ -59,9 +60,11 @@ PGCCD_HD auto supports_separate(const PairTree<RigidBodies>& tree, const SplitPa
     return RigidSweep::place(pose.of[side], centre) -
            in_all_lanes(RigidSweep::place(pose.of[other_side], other_centre), T{});
   };
-  const Vec3<T> start = offset(tree.pose(k - 1)), end = offset(tree.pose(k)), direction = start + end;
-  T least_gap;
-  auto apart = overlap_detail::find_least_gap(direction, sweep.inflation, least_gap);
+  const Vec3<T> start = offset(tree.pose(k - 1)), end = offset(tree.pose(k)), sum = start + end;
+  const T length_squared = norm_squared(sum);
+  auto apart = length_squared > 1e-30f;
+  const Vec3<T> direction = (1.0f / square_root(length_squared)) * sum;
+  const float least_gap = sweep.inflation * (1.0f + 8.0f * Precision<float>::unit);
   const T along_start = dot(direction, start), along_end = dot(direction, end);
   const T reach = load<T>(block.radius + slot) * kSupportStep;
   const float other_reach = other_block.radius[other_slot] * kSupportStep;
