@@ -47,6 +47,7 @@ ON_ORIGIN = ("kernels/test_origin_bounds.py",)
 ON_MARGIN = ("detection/test_margin.py",)
 ON_CROSSING = ("detection/test_intersecting.py",)
 ON_SIZES = ("detection/test_unequal_sizes.py",)
+ON_SUPPORTS = ("kernels/test_node_supports.py",)
 
 _LOCAL_ROUNDING = "kLocalRounding, 64 units of the whole local frame, includes it"
 _SPARE = "covered by the 32 units of the extent, of which the projected gap needs at most 12"
@@ -288,11 +289,11 @@ _TREE = [
     ),
     Mutant(
         "first-segments-only",
-        TRAVERSE + "pair_item.h",
-        "sweep_.segment_count",
-        "larger(1, sweep_.segment_count - 1)",
+        TRAVERSE + "traverse_cpu.cpp",
+        "tree.sweep().segment_count",
+        "larger(1, tree.sweep().segment_count - 1)",
         ON_TRAVERSE,
-        within="uint32_t mask = 0;\n    for (int k = 1; k <= sweep_.segment_count; ++k)",
+        within="uint32_t meeting = 0;\n  for (int k = 1; k <= tree.sweep().segment_count; ++k)",
     ),
     Mutant(
         "leaf-ball-0.999",
@@ -351,6 +352,101 @@ _TREE = [
         "scale * b.low[slot] - grown",
         "scale * b.low[slot]",
         ON_TRAVERSE,
+    ),
+]
+
+_SUPPORTS = [
+    Mutant(
+        "support-of-child-0.999",
+        TRAVERSE + "support_item.h",
+        "reach * below",
+        "0.999f * (reach * below)",
+        ON_SUPPORTS,
+    ),
+    Mutant(
+        "support-of-other-node-0.999",
+        TRAVERSE + "support_item.h",
+        "other_reach * above",
+        "0.999f * (other_reach * above)",
+        ON_SUPPORTS,
+    ),
+    Mutant(
+        "support-gap-zero",
+        TRAVERSE + "support_item.h",
+        "gap > least_gap",
+        "gap > 0.0f * least_gap",
+        ON_SUPPORTS,
+    ),
+    Mutant(
+        "support-gap-0.999",
+        TRAVERSE + "support_item.h",
+        "gap > least_gap",
+        "gap > 0.999f * least_gap",
+        ON_SUPPORTS,
+    ),
+    Mutant(
+        "support-direction-not-scaled",
+        TRAVERSE + "support_item.h",
+        "(1.0f / square_root(length_squared)) * sum",
+        "sum",
+        ("detection/test_extremes.py",),
+    ),
+    Mutant(
+        "support-gap-rounding",
+        TRAVERSE + "support_item.h",
+        "sweep.inflation * (1.0f + 8.0f * Precision<float>::unit)",
+        "sweep.inflation",
+        ON_SUPPORTS,
+        equivalent=_LOCAL_ROUNDING + ", which is part of the inflation: its 8 units are among those 64",
+    ),
+    Mutant(
+        "support-at-the-start-only",
+        TRAVERSE + "support_item.h",
+        "of < 2",
+        "of < 1",
+        ON_SUPPORTS,
+    ),
+    Mutant(
+        "support-offset-of-the-end",
+        TRAVERSE + "support_item.h",
+        "of == 0 ? along_start : along_end",
+        "along_end",
+        ON_SUPPORTS,
+    ),
+    Mutant(
+        "support-of-roots-in-first-segments-only",
+        TRAVERSE + "support_item.h",
+        "tree.sweep().segment_count",
+        "larger(1, tree.sweep().segment_count - 1)",
+        ON_SUPPORTS,
+    ),
+    Mutant(
+        "support-sample-to-nearest",
+        "csrc/mesh/node_support.cpp",
+        "std::ceil(steps[q])",
+        "std::round(steps[q])",
+        ON_SUPPORTS,
+    ),
+    Mutant(
+        "support-sample-0.999",
+        "csrc/mesh/node_support.cpp",
+        "std::ceil(steps[q])",
+        "std::ceil(0.999 * steps[q])",
+        ON_SUPPORTS,
+    ),
+    Mutant(
+        "support-sample-at-most-253",
+        "csrc/mesh/node_support.cpp",
+        "none + 255.0",
+        "none + 253.0",
+        ON_SUPPORTS,
+    ),
+    Mutant(
+        "support-sample-slack",
+        "csrc/mesh/node_support.cpp",
+        "1e-14 * (std::abs(centre.x) + std::abs(centre.y) + std::abs(centre.z) + radius)",
+        "0.0",
+        ON_SUPPORTS,
     ),
 ]
 
@@ -1855,6 +1951,7 @@ MUTANTS = [
     *_RIGID,
     *_DEFORMING,
     *_TREE,
+    *_SUPPORTS,
     *_DIRECTIONS,
     *_SEPARATIONS,
     *_CERTIFICATES,

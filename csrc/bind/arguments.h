@@ -86,7 +86,7 @@ inline void check_offsets(const MeshSetView& view, const MeshOffsets& sizes) {
 }
 
 inline MeshSetView mesh_set_view(const std::vector<Tensor>& t) {
-  STD_TORCH_CHECK(t.size() == 11, "mesh_set: expected 11 tensors, got ", t.size());
+  STD_TORCH_CHECK(t.size() == 12, "mesh_set: expected 12 tensors, got ", t.size());
   MeshSetView view;
   view.vertices = rows<double>(t[0], "mesh_set.vertices", {kAnySize, 3});
   view.faces = rows<int32_t>(t[1], "mesh_set.faces", {kAnySize, 3});
@@ -107,6 +107,8 @@ inline MeshSetView mesh_set_view(const std::vector<Tensor>& t) {
   view.centres = rows<double>(t[9], "mesh_set.centres", {centres, 3});
   view.reaches = rows<double>(t[10], "mesh_set.reaches", {centres});
   if (centres == 0) view.centres = view.reaches = nullptr;
+  view.node_supports =
+      rows<int32_t, NodeSupport>(t[11], "mesh_set.node_supports", {t[4].size(0), kBlockWidth, kSupportWords});
   return view;
 }
 

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "mesh/hierarchy.h"
+#include "mesh/node_support.h"
 #include "mesh/topology.h"
 
 namespace py = pybind11;
@@ -34,10 +35,12 @@ py::dict prepare_mesh(const Array<double>& vertices, const Array<int32_t>& faces
   pgccd::Topology topology;
   pgccd::Hierarchy tree;
   std::vector<pgccd::Triangle> triangles;
+  std::vector<std::array<pgccd::NodeSupport, pgccd::kBlockWidth>> supports;
   {
     py::gil_scoped_release unlocked;
     topology = pgccd::make_topology(rows);
     tree = pgccd::build_hierarchy(vertices.data(), vertices.shape(0), rows, leaf_size);
+    supports = pgccd::sample_supports(tree, vertices.data());
     const std::vector<int32_t> represented =
         pgccd::representatives(rows, topology, tree.triangle_order, vertices.shape(0));
     triangles.reserve(rows.size());
@@ -52,6 +55,7 @@ py::dict prepare_mesh(const Array<double>& vertices, const Array<int32_t>& faces
   out["triangles"] = to_matrix<int32_t>(triangles);
   out["node_blocks"] = to_matrix<float>(tree.blocks);
   out["node_links"] = to_matrix<int32_t>(tree.links);
+  out["node_supports"] = to_matrix<int32_t>(supports);
   out["leaf_points"] = to_matrix<int32_t>(tree.leaf_points);
   return out;
 }

@@ -8,6 +8,16 @@
 namespace pgccd {
 
 PGCCD_HD bool all_lanes(bool mask) { return mask; }
+PGCCD_HD bool any_lane(bool mask) { return mask; }
+
+// The same vector in each lane of the second argument's type.
+PGCCD_HD Vec3<float> in_all_lanes(Vec3<float> v, float) { return v; }
+
+// One whole number per lane. lane_numbers: 0, 1, 2, ...
+PGCCD_HD int32_t lane_numbers(float) { return 0; }
+PGCCD_HD int32_t to_integer(float x) { return static_cast<int32_t>(x); }
+PGCCD_HD float to_number(int32_t n) { return static_cast<float>(n); }
+PGCCD_HD int32_t load_at(const int32_t* first, int32_t place) { return first[place]; }
 
 template <class T>
 PGCCD_HD T load(const float* first) {
@@ -25,6 +35,8 @@ inline Float8 load<Float8>(const float* first) {
 
 inline Vec3<Float8> broadcast(Vec3<float> v) { return {v.x - Float8{}, v.y - Float8{}, v.z - Float8{}}; }
 
+inline Vec3<Float8> in_all_lanes(Vec3<float> v, Float8) { return broadcast(v); }
+
 inline uint32_t lane_bits(Mask8 mask) {
 #if defined(__AVX__)
   return static_cast<uint32_t>(__builtin_ia32_movmskps256(__builtin_bit_cast(Float8, mask)));
@@ -34,11 +46,20 @@ inline uint32_t lane_bits(Mask8 mask) {
   return bits;
 #endif
 }
+inline Mask8 lane_numbers(Float8) { return Mask8{0, 1, 2, 3, 4, 5, 6, 7}; }
+inline Mask8 to_integer(Float8 x) { return __builtin_convertvector(x, Mask8); }
+inline Float8 to_number(Mask8 n) { return __builtin_convertvector(n, Float8); }
+inline Mask8 load_at(const int32_t* first, Mask8 place) {
+  Mask8 out;
+  for (int lane = 0; lane < kLanes; ++lane) out[lane] = first[place[lane]];
+  return out;
+}
 inline float largest_lane(Float8 x) {
   x = larger(x, __builtin_shuffle(x, Mask8{4, 5, 6, 7, 0, 1, 2, 3}));
   x = larger(x, __builtin_shuffle(x, Mask8{2, 3, 0, 1, 6, 7, 4, 5}));
   return larger(x[0], x[1]);
 }
+inline bool any_lane(Mask8 mask) { return lane_bits(mask) != 0; }
 inline bool all_lanes(Mask8 mask) { return lane_bits(mask) == (1u << kLanes) - 1; }
 
 #endif

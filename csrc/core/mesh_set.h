@@ -41,6 +41,19 @@ struct alignas(16) NodeLink {
   int32_t points_count;    // leaf: its number of these rows
 };
 
+// Upper bounds of a node's support function h(d) = max over its vertices of d . (vertex - centre), sampled at
+// directions on the faces of the cube [-1, 1]^3, each divided into kSupportCells x kSupportCells cells. Face 2 a is
+// where coordinate a is 1, face 2 a + 1 where it is -1. Byte q of rows[face][p], the lowest first, is the sample where
+// coordinate a + 1 (mod 3) is p / 1.5 - 1 and coordinate a + 2 is q / 1.5 - 1, in units of kSupportStep times the
+// node's radius.
+constexpr int kSupportCells = 3, kSupportFaces = 6;
+struct alignas(16) NodeSupport {
+  int32_t rows[kSupportFaces][kSupportCells + 1];
+};
+constexpr int kSupportWords = kSupportFaces * (kSupportCells + 1);
+// 255 of them are more than the square root of 3, the length of the longest of these directions.
+constexpr float kSupportStep = 7.0f / 1024.0f;
+
 // Eight vertices of a leaf's triangles; a leaf lists each of its vertices once. The last one fills unused slots.
 struct alignas(16) LeafPoints {
   float x[kBlockWidth], y[kBlockWidth], z[kBlockWidth];
@@ -59,12 +72,13 @@ struct CornerColumns {
 };
 
 struct MeshSetView {
-  const double* vertices;        // (vertices, 3), body frame
-  const int32_t* faces;          // (faces, 3)
-  const int32_t* edges;          // (edges, 2)
-  const Triangle* triangles;     // (faces), leaf order
-  const NodeBlock* node_blocks;  // (blocks)
-  const NodeLink* node_links;    // (blocks, 8)
+  const double* vertices;            // (vertices, 3), body frame
+  const int32_t* faces;              // (faces, 3)
+  const int32_t* edges;              // (edges, 2)
+  const Triangle* triangles;         // (faces), leaf order
+  const NodeBlock* node_blocks;      // (blocks)
+  const NodeLink* node_links;        // (blocks, 8)
+  const NodeSupport* node_supports;  // (blocks, 8)
   const LeafPoints* leaf_points;
   CornerColumns corners;       // (9, stride), column entries in the order of `triangles`
   const MeshOffsets* offsets;  // (meshes + 1): the next row is the end of a mesh's rows

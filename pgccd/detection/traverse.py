@@ -42,7 +42,7 @@ def find_candidates(
         The candidates, (C, 4) int32: index into `pairs`, kind (see `pgccd.Kind`), feature of i, feature of j. Every
         feature pair that may touch is listed exactly once (representative triangles, Curtis et al. 2008). Of a pair
         (i, i) they are of kind VF_AB, EE with the smaller edge first, or EF_AB. The order of rows is not specified.
-        And the number of node pairs tested, (1,) int64.
+        And the number of node pairs tested below the roots, (1,) int64.
 
     Raises:
         TypeError, ValueError: naming the argument.

@@ -124,6 +124,7 @@ class Mesh:
         self._node_blocks = torch.from_numpy(prepared["node_blocks"]).view(-1, 9, 8)
         self._node_links = torch.from_numpy(prepared["node_links"]).view(-1, 8, 4)
         self._leaf_points = torch.from_numpy(prepared["leaf_points"]).view(-1, 4, 8)
+        self._node_supports = torch.from_numpy(prepared["node_supports"]).view(-1, 8, 24)
 
     @classmethod
     def box(cls, extents: Sequence[float] | np.ndarray | Tensor) -> Mesh:
@@ -324,7 +325,8 @@ class MeshSet:
         off_centre = [] if self.is_centred else meshes
         centres = torch.cat([torch.empty((0, 3), dtype=torch.float64), *(m.centre_offset[None] for m in off_centre)])
         reaches = torch.tensor([m.reach for m in off_centre], dtype=torch.float64)
-        columns_of_all = (*joined, corners, self.offsets, centres, reaches)
+        supports = torch.cat([m._node_supports for m in meshes])
+        columns_of_all = (*joined, corners, self.offsets, centres, reaches, supports)
         self.tensors = [tensor.contiguous().to(device) for tensor in columns_of_all]
         self.device = self.tensors[0].device
 

@@ -22,6 +22,7 @@ struct alignas(16) DeformingSweep : PairFrame {
 
   // In a test of a body against itself both sides are one tree, and only one of two mirror images is needed.
   static constexpr bool may_be_one_body = true;
+  static constexpr bool has_supports = false;
   PGCCD_HD bool is_one_body() const { return body[0] == body[1]; }
 
   PGCCD_HD LocalPose pose(const DeformingBodies& bodies, int k) const {

@@ -5,6 +5,7 @@
 
 #include "kernels/launch.cuh"
 #include "kernels/traverse/start_self_pairs.cuh"
+#include "kernels/traverse/support_item.h"
 #include "kernels/traverse/words.cuh"
 #include "kernels/traverse/work_share.cuh"
 
@@ -129,9 +130,7 @@ __device__ void descend(const Pairs<Bodies>& pairs, int launch, const WorkQueue&
       const SplitPair split = shared.stack[group.size - 1];
       child.leaves = split.child(slot);
       const NodeLink first = tree.link(0, child.leaves.first), second = tree.link(1, child.leaves.second);
-      for (int k = 1; k <= tree.sweep().segment_count && !meets; ++k) {
-        meets = may_meet(tree.clearance(split, tree.other_node(split, k), k, slot));
-      }
+      meets = child_may_meet(tree, split, slot);
       if (slot == 0 && group.route.is_first()) ++splits;
       meets = meets && group.route.includes(slot);
       group.route.next();

@@ -34,11 +34,6 @@ struct Farthest {
 #endif
 };
 
-PGCCD_HD Vec3<float> in_all_lanes(Vec3<float> v, float) { return v; }
-#if !defined(__CUDACC__)
-inline Vec3<Float8> in_all_lanes(Vec3<float> v, Float8) { return broadcast(v); }
-#endif
-
 // Below the exact result of three operations and this one.
 PGCCD_HD float rounded_down(float x) { return x * (1.0f - 4.0f * Precision<float>::unit); }
 
@@ -107,7 +102,6 @@ class LeafSeparation {
 
   // The farthest vertices at both ends.
   PGCCD_HD void find_farthest(int side, int32_t node, Vec3<float> direction, Farthest out[2]) const {
-    using separation_detail::in_all_lanes;
     constexpr int kSlotsAtOnce = sizeof(T) / sizeof(float);
     const Placement from = start_.of[side], to = end_.of[side];
     const Vec3<T> at_start = in_all_lanes(Sweep::pulled_back(from, direction), T{});

@@ -58,6 +58,9 @@ class PairTree {
   PGCCD_HD const LocalPose& pose(int k) const { return poses_[k]; }
 
   PGCCD_HD NodeLink link(int side, int32_t node) const { return sweep_.links[side][node]; }
+  PGCCD_HD const NodeSupport& support(int side, int32_t node) const {
+    return bodies_.meshes.node_supports[(sweep_.links[side] - bodies_.meshes.node_links) + node];
+  }
   // Number of node blocks of the first body's hierarchy.
   PGCCD_HD int32_t block_count() const {
     const MeshOffsets* offsets = bodies_.meshes.offsets + bodies_.mesh_index[sweep_.body[0]];
@@ -77,17 +80,6 @@ class PairTree {
     const bool split_first =
         second.triangle_count != 0 || (first.triangle_count == 0 && radius(0, nodes.first) >= radius(1, nodes.second));
     return split_first ? SplitPair{0, first.first, nodes.second} : SplitPair{1, second.first, nodes.first};
-  }
-
-  // Bit s is set if child s and the other node may meet during the step.
-  PGCCD_HD uint32_t children_meeting(const SplitPair& split) const {
-    uint32_t mask = 0;
-    for (int k = 1; k <= sweep_.segment_count; ++k) {
-      float clearance[kBlockWidth];
-      clearances(split, k, clearance);
-      for (int slot = 0; slot < kBlockWidth; ++slot) mask |= may_meet(clearance[slot]) ? 1u << slot : 0u;
-    }
-    return mask;
   }
 
   // A node over segment k.
@@ -127,12 +119,6 @@ class PairTree {
  private:
   PGCCD_HD float radius(int side, int32_t node) const {
     return sweep_.blocks[side][block_of(node)].radius[slot_of(node)];
-  }
-
-  // Clearances of all children. A branch-free loop over plain arrays, vectorised to eight lanes.
-  PGCCD_HD void clearances(const SplitPair& split, int k, float out[kBlockWidth]) const {
-    const MovingNode other = other_node(split, k);
-    for (int slot = 0; slot < kBlockWidth; ++slot) out[slot] = clearance(split, other, k, slot);
   }
 
   PGCCD_HD MovingPoints<1, float> moving_centre(int side, int32_t block, int slot, const Placement& at_start,

@@ -3,6 +3,7 @@
 
 #include "kernels/launch.cuh"
 #include "kernels/traverse/start_self_pairs.cuh"
+#include "kernels/traverse/support_item.h"
 #include "kernels/traverse/words.cuh"
 
 namespace pgccd {
@@ -13,7 +14,7 @@ struct PlacedPairs {
   SweepOf<Bodies>* sweeps;
   LocalPose* poses;
   uint32_t* pose_begin;
-  SplitPair* roots;  // none where no node has children: such pairs of leaves are listed at once
+  SplitPair* roots;  // none where the roots stay apart, or have no children: such pairs of leaves are listed at once
   LeafPairList leaves;
   SelfPairs self_pairs;
 };
@@ -68,23 +69,25 @@ __global__ void __launch_bounds__(kBlockThreads)
     store_rows(staged.poses, rows, out.poses + kPosesAtHand * first);
     if (lane >= rows) continue;
     uint32_t begin = static_cast<uint32_t>(kPosesAtHand * pair);
+    const LocalPose* poses = out.poses + begin;
     if (sweep.segment_count >= kPosesAtHand) {
       const Counter place = warp_append(&counters->poses, static_cast<uint32_t>(sweep.segment_count) + 1u);
       // Clamp to valid rows; the overflow flag discards the result.
       const bool has_rows = has_place(place + sweep.segment_count, pairs.pose_capacity);
       begin = own_poses + (has_rows ? static_cast<uint32_t>(place) : 0u);
       for (int k = 0; k <= sweep.segment_count; ++k) store_words(sweep.pose(bodies, k), out.poses[begin + k]);
+      poses = out.poses + begin;
     }
     out.pose_begin[pair] = begin;
     const auto row = static_cast<int32_t>(pair);
     out.self_pairs.add_if_one_body(bodies, sweep, row);
     SplitPair root = SplitPair::none();
     if (!sweep.is_one_body()) {
-      const PairTree<Bodies> tree(bodies, sweep, nullptr);
+      const PairTree<Bodies> tree(bodies, sweep, poses);
       const NodePair nodes{0, 0};
-      const bool is_leaf_pair = tree.is_leaf_pair(nodes);
-      if (is_leaf_pair) out.leaves.put(warp_append(out.leaves.count, 1), {row, nodes});
-      if (!is_leaf_pair) root = tree.split(nodes);
+      const bool meet = roots_may_meet(tree), is_leaf_pair = tree.is_leaf_pair(nodes);
+      if (meet && is_leaf_pair) out.leaves.put(warp_append(out.leaves.count, 1), {row, nodes});
+      if (meet && !is_leaf_pair) root = tree.split(nodes);
     }
     out.roots[pair] = root;
   }

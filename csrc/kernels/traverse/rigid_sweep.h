@@ -89,6 +89,7 @@ struct alignas(16) RigidSweep : PairFrame {
 
   // A rigid body keeps its distances from itself.
   static constexpr bool may_be_one_body = false;
+  static constexpr bool has_supports = true;
   PGCCD_HD static constexpr bool is_one_body() { return false; }
 
   // Segment boundary k of segment_count.
@@ -143,8 +144,11 @@ struct alignas(16) RigidSweep : PairFrame {
   }
 
   // The direction in body axes: its dot product with v is that of `direction` with the rotated v.
-  PGCCD_HD static Vec3<float> pulled_back(const Placement& p, Vec3<float> direction) {
-    return direction.x * p.x.axis + direction.y * p.y.axis + direction.z * p.z.axis;
+  template <class T>
+  PGCCD_HD static Vec3<T> pulled_back(const Placement& p, Vec3<T> direction) {
+    const auto along = [&](float x, float y, float z) { return direction.x * x + direction.y * y + direction.z * z; };
+    const Vec3<float>&x = p.x.axis, &y = p.y.axis, &z = p.z.axis;
+    return {along(x.x, y.x, z.x), along(x.y, y.y, z.y), along(x.z, y.z, z.z)};
   }
 
   // Corners of one triangle, or (T = Float8) of eight successive ones.
