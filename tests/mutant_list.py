@@ -385,13 +385,6 @@ _SUPPORTS = [
         ON_SUPPORTS,
     ),
     Mutant(
-        "support-direction-not-scaled",
-        TRAVERSE + "support_item.h",
-        "(1.0f / square_root(length_squared)) * sum",
-        "sum",
-        ("detection/test_extremes.py",),
-    ),
-    Mutant(
         "support-gap-rounding",
         TRAVERSE + "support_item.h",
         "sweep.inflation * (1.0f + 8.0f * Precision<float>::unit)",
