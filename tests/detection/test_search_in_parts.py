@@ -165,15 +165,15 @@ def tip(centre: float) -> tuple[np.ndarray, np.ndarray]:
 def with_a_likely_pair(
     scene: pgccd.Scene, motion: pgccd.RigidMotion, toi: float
 ) -> tuple[pgccd.Scene, pgccd.RigidMotion]:
-    """Two more bodies, cubes deep within each other's spheres, that touch at `toi`."""
-    cube = pgccd.Mesh(np.array(list(np.ndindex(2, 2, 2))) * 2.0 - 1.0, CUBE_FACES)
-    far = torch.tensor([[100.0, 0.0, 0.0], [102.001, 0.0, 0.0]], dtype=torch.float64, device=scene.device)
+    """Two more bodies, plates deep within each other's spheres, that touch at `toi`."""
+    plate = pgccd.Mesh((np.array(list(np.ndindex(2, 2, 2))) * 2.0 - 1.0) * [0.05, 5.0, 5.0], CUBE_FACES)
+    far = torch.tensor([[100.0, 0.0, 0.0], [100.101, 0.0, 0.0]], dtype=torch.float64, device=scene.device)
     closer = torch.tensor([[0.001 / toi, 0.0, 0.0], [0.0, 0.0, 0.0]], dtype=torch.float64, device=scene.device)
     columns = (motion.position_t0, motion.position_t1, motion.orientation_t0)
     start, end, unit = (
         torch.cat([column, more]) for column, more in zip(columns, (far, far + closer, columns[2]), strict=True)
     )
-    meshes = [*scene.meshes.meshes, cube]
+    meshes = [*scene.meshes.meshes, plate]
     joined_scene = pgccd.Scene(meshes, [*scene.mesh_index.tolist(), 2, 2], device=scene.device)
     return joined_scene, pgccd.RigidMotion(start, unit, end, unit)
 
@@ -259,3 +259,15 @@ def test_one_contact_of_many_at_the_start(
         assert_same(found, expected)
     if separation > 0.0 and device.type == "cpu":
         assert every.stats.candidates > 10_000 and found.stats.candidates < every.stats.candidates / 3
+
+
+@pytest.mark.parametrize("report", ["first", "earliest"])
+def test_one_vertex_touches_faces_of_many_leaves(report: narrow.Report, device: torch.device) -> None:
+    """The smallest vertex of a box is near all faces of a sphere, in more leaves than one batch."""
+    start = torch.tensor([[0.0, 0.0, 0.0], [1.3, 0.0, 0.0]], dtype=torch.float64)
+    unit = torch.tensor([[1.0, 0.0, 0.0, 0.0]] * 2, dtype=torch.float64)
+    scene = pgccd.Scene([pgccd.Mesh.box([0.1, 0.1, 0.1]), pgccd.Mesh.sphere(1.0)], device=device)
+    motion = pgccd.RigidMotion(start, unit, start, unit).to(device)
+    found, every = (pgccd.detect(scene, motion, each, 3.0) for each in (report, "all"))
+    assert_same(found, every[first_rows(every, report)])
+    assert found.features.tolist() == [[0, 0]] and len(every) > 10_000

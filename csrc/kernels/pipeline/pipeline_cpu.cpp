@@ -10,6 +10,31 @@
 namespace pgccd {
 namespace {
 
+// A kind and the feature of the first body, in the order of contacts.
+using FirstFeature = int64_t;
+constexpr FirstFeature kNoFeature = std::numeric_limits<FirstFeature>::max();
+FirstFeature first_feature(FeatureKind kind, int32_t feature_i) { return static_cast<int64_t>(kind) << 32 | feature_i; }
+
+// A lower bound of that of all candidates of a pair of leaves.
+template <class Bodies>
+FirstFeature first_feature_of(const Bodies& bodies, const TraverseInput& input, const LeafPair& item) {
+  const int64_t *const pair = input.pairs + 2 * int64_t{item.pair}, sides = pair[0] == pair[1] ? 2 : 1;
+  const int32_t node[2] = {item.leaves.first, item.leaves.second};
+  int32_t first = std::numeric_limits<int32_t>::max();
+  for (int side = 0; side < sides; ++side) {
+    const MeshOffsets& offsets = bodies.meshes.offsets[bodies.mesh_index[pair[side]]];
+    const NodeLink leaf = bodies.meshes.node_links[kBlockWidth * offsets.block + node[side]];
+    const Triangle* const triangles = bodies.meshes.triangles + offsets.face + leaf.first;
+    for (int k = 0; k < leaf.triangle_count; ++k) {
+      for (int c = 0; c < 3; ++c) {
+        if (triangles[k].represented >> c & 1) first = std::min(first, triangles[k].vertex[c]);
+      }
+    }
+  }
+  const bool has_vertex = first != std::numeric_limits<int32_t>::max();
+  return has_vertex ? first_feature(FeatureKind::kVertexFace, first) : first_feature(FeatureKind::kFaceVertex, 0);
+}
+
 // A search on the CPU: adds to the counts and to the time of the narrow phase.
 template <class Bodies>
 class PairSearch {
@@ -67,7 +92,8 @@ class PairSearch {
         const int32_t pair = best.pair[row];
         horizon[pair] = best.toi[row];
         // Of contacts at the same time, that of the smallest features is the first.
-        if (best.toi[row] == 0.0) known[pair] = first_feature(best.kind[row], best.features[2 * row]);
+        if (best.toi[row] == 0.0)
+          known[pair] = first_feature(static_cast<FeatureKind>(best.kind[row]), best.features[2 * row]);
         if (narrow_.report == Report::kAny) known[pair] = -1;
       }
       std::erase_if(left, [&](const Wanted& w) {

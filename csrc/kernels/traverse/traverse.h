@@ -3,7 +3,6 @@
 
 #include <cstdint>
 #include <functional>
-#include <limits>
 #include <vector>
 
 #include "core/candidate.h"
@@ -85,13 +84,6 @@ struct FoundLeaves {
 };
 template <class Bodies>
 FoundLeaves find_leaf_pairs(const Executor& executor, const Bodies& bodies, const TraverseInput& input);
-// A kind and the feature of the first body, in the order of contacts.
-using FirstFeature = int64_t;
-constexpr FirstFeature kNoFeature = std::numeric_limits<FirstFeature>::max();
-inline FirstFeature first_feature(int64_t kind, int32_t feature_i) { return kind << 32 | feature_i; }
-// A lower bound of that of all candidates of a pair of leaves.
-template <class Bodies>
-FirstFeature first_feature_of(const Bodies& bodies, const TraverseInput& input, const LeafPair& leaves);
 template <class Bodies>
 CandidateList visit_leaf_pairs(const Executor& executor, const Bodies& bodies, const TraverseInput& input,
                                const std::vector<LeafPair>& leaves);

@@ -357,26 +357,6 @@ FoundLeaves find_leaf_pairs(const Executor& executor, const Bodies& bodies, cons
 }
 
 template <class Bodies>
-FirstFeature first_feature_of(const Bodies& bodies, const TraverseInput& input, const LeafPair& item) {
-  const int64_t *const pair = input.pairs + 2 * int64_t{item.pair}, sides = pair[0] == pair[1] ? 2 : 1;
-  const int32_t node[2] = {item.leaves.first, item.leaves.second};
-  int32_t first = std::numeric_limits<int32_t>::max();
-  for (int side = 0; side < sides; ++side) {
-    const MeshOffsets& offsets = bodies.meshes.offsets[bodies.mesh_index[pair[side]]];
-    const NodeLink leaf = bodies.meshes.node_links[kBlockWidth * offsets.block + node[side]];
-    const Triangle* const triangles = bodies.meshes.triangles + offsets.face + leaf.first;
-    for (int k = 0; k < leaf.triangle_count; ++k) {
-      for (int c = 0; c < 3; ++c) {
-        if (triangles[k].represented >> c & 1) first = std::min(first, triangles[k].vertex[c]);
-      }
-    }
-  }
-  const bool has_vertex = first != std::numeric_limits<int32_t>::max();
-  return has_vertex ? first_feature(static_cast<int64_t>(FeatureKind::kVertexFace), first)
-                    : first_feature(static_cast<int64_t>(FeatureKind::kFaceVertex), 0);
-}
-
-template <class Bodies>
 CandidateList visit_leaf_pairs(const Executor& executor, const Bodies& bodies, const TraverseInput& input,
                                const std::vector<LeafPair>& leaves) {
   CandidateList list;
@@ -394,8 +374,6 @@ template CandidateList list_candidates(const Executor&, const RigidBodies&, cons
 template CandidateList list_candidates(const Executor&, const DeformingBodies&, const TraverseInput&);
 template FoundLeaves find_leaf_pairs(const Executor&, const RigidBodies&, const TraverseInput&);
 template FoundLeaves find_leaf_pairs(const Executor&, const DeformingBodies&, const TraverseInput&);
-template FirstFeature first_feature_of(const RigidBodies&, const TraverseInput&, const LeafPair&);
-template FirstFeature first_feature_of(const DeformingBodies&, const TraverseInput&, const LeafPair&);
 template CandidateList visit_leaf_pairs(const Executor&, const RigidBodies&, const TraverseInput&,
                                         const std::vector<LeafPair>&);
 template CandidateList visit_leaf_pairs(const Executor&, const DeformingBodies&, const TraverseInput&,
