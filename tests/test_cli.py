@@ -265,7 +265,8 @@ def test_info_names_version_and_kernels(meshes: list[str], capsys: pytest.Captur
             ["detect", "no.obj", "--motion", "no.npz", "--page", "no/page.html"],
             "argument --page: no/page.html cannot be",
         ),
-        (["detect", "no.obj", "--motion", "no.npz", "--page", "."], "argument --page: . is a folder"),
+        (["detect", "no.obj", "--motion", "no.npz", "--page", "."], "argument --page: expected a name that ends in"),
+        (["view", "no.obj", "--page", "folder.html"], "argument --page: folder.html is a folder"),
         (["view"], "argument MESH"),
         (["view", "no.ply"], "argument MESH: no mesh file at no.ply"),
         (["view", "no.ply", "--page", "file.txt/page.html"], "argument --page: file.txt/page.html cannot be written"),
@@ -287,6 +288,7 @@ def test_mistakes_get_one_line_and_code_2(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file.txt").write_text("text")
+    (tmp_path / "folder.html").mkdir()
     np.savez(tmp_path / "empty.npz")
     np.savez(tmp_path / "mixed.npz", x_t0=np.zeros((8, 3)), x_t1=np.zeros((8, 3)), position_t0=np.zeros((2, 3)))
     bad = np.zeros((3, 8, 3))

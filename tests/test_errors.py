@@ -265,7 +265,7 @@ def test_files(tmp_path: Path) -> None:
     pytest.importorskip("trimesh")
     with pytest.raises(FileNotFoundError, match="^path"):
         pgccd.Mesh.load(tmp_path / "nothing.ply")
-    with pytest.raises(FileNotFoundError, match="^path"):
+    with pytest.raises(IsADirectoryError, match="^path"):
         pgccd.Mesh.load(tmp_path)
     broken = {
         "noise.ply": bytes(range(256)),

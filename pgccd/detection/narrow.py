@@ -55,6 +55,8 @@ class Kind(_NamedIntegers):
         EF_AB: edge of i that passes through a face of j at t = 0.
         EF_BA: face of i, edge of j that passes through it at t = 0.
 
+    Of a body with itself, i = j, there are VF_AB, EE with the smaller edge first, and EF_AB.
+
     Example:
         >>> edges = hits[hits.kind == pgccd.Kind.EE]
     """

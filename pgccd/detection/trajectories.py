@@ -40,7 +40,7 @@ class TrajectoryContacts(Contacts):
     _names: ClassVar[tuple[str, ...]] = (*COLUMNS, "segment", "time")
 
     def first_toi(self, by: By = "scene") -> Tensor:
-        """The first `time` along the whole trajectory: in [0, segments], float64, inf without a contact.
+        """The first `time` along the whole trajectory: in [0, 1], float64, inf without a contact.
 
         Args:
             by: "scene" (), "world" (W,) or "body" (N,): see `Contacts.first_toi`.

@@ -40,7 +40,7 @@ class Mesh:
 
     Args:
         vertices: (V, 3) array or tensor of finite numbers, in scene length units. Lists are float64. A UserWarning
-            names faces that float32 has rounded away, far from the origin of the coordinates.
+            names faces that float32 has distorted, far from the origin of the coordinates.
         faces: (F, 3) integers, three different rows of `vertices` per face. Meshes may be open, non-manifold or in
             several components, and faces may have no area.
         origin: a point (3,) in the coordinates of `vertices`, for example a joint; "centroid", the SBV centre: the mean
@@ -127,11 +127,12 @@ class Mesh:
         self._node_supports = torch.from_numpy(prepared["node_supports"]).view(-1, 8, 24)
 
     @classmethod
-    def box(cls, extents: Sequence[float] | np.ndarray | Tensor) -> Mesh:
+    def box(cls, extents: Sequence[float] | np.ndarray | Tensor, origin: Origin = (0.0, 0.0, 0.0)) -> Mesh:
         """A box of 12 triangles, centred on the origin, with sides along the axes.
 
         Args:
             extents: (3,) side lengths > 0 along x, y and z.
+            origin: as for the constructor.
 
         Raises:
             TypeError, ValueError: they are not three such lengths.
@@ -140,10 +141,10 @@ class Mesh:
             >>> pgccd.Mesh.box([2.0, 1.0, 1.0]).faces.shape
             torch.Size([12, 3])
         """
-        return cls(*shapes.box(extents))
+        return cls(*shapes.box(extents), origin)
 
     @classmethod
-    def sphere(cls, radius: float, subdivisions: int = 3) -> Mesh:
+    def sphere(cls, radius: float, subdivisions: int = 3, origin: Origin = (0.0, 0.0, 0.0)) -> Mesh:
         """A polyhedron with its vertices on a sphere around the origin: an icosahedron, each of its faces divided into
         four `subdivisions` times, 20 x 4^subdivisions faces. It lies within the sphere: at 3 subdivisions face centres
         lie 0.5 % of the radius below it.
@@ -151,6 +152,7 @@ class Mesh:
         Args:
             radius: of the sphere, > 0, in scene length units.
             subdivisions: from 0 to 8.
+            origin: as for the constructor.
 
         Raises:
             TypeError, ValueError: an argument is not such a number.
@@ -159,10 +161,10 @@ class Mesh:
             >>> pgccd.Mesh.sphere(0.5).faces.shape
             torch.Size([1280, 3])
         """
-        return cls(*shapes.sphere(radius, subdivisions))
+        return cls(*shapes.sphere(radius, subdivisions), origin)
 
     @classmethod
-    def cylinder(cls, radius: float, height: float, sections: int = 32) -> Mesh:
+    def cylinder(cls, radius: float, height: float, sections: int = 32, origin: Origin = (0.0, 0.0, 0.0)) -> Mesh:
         """A prism over a regular polygon, with its vertices on a cylinder around the z axis, centred on the origin:
         4 x sections faces.
 
@@ -170,6 +172,7 @@ class Mesh:
             radius: of the cylinder, > 0, in scene length units.
             height: along z, > 0, in scene length units.
             sections: corners of the polygon, at least 3.
+            origin: as for the constructor.
 
         Raises:
             TypeError, ValueError: an argument is not such a number.
@@ -178,7 +181,7 @@ class Mesh:
             >>> pgccd.Mesh.cylinder(0.1, 1.0).faces.shape
             torch.Size([128, 3])
         """
-        return cls(*shapes.cylinder(radius, height, sections))
+        return cls(*shapes.cylinder(radius, height, sections), origin)
 
     @classmethod
     def from_trimesh(cls, mesh: Any, origin: Origin = (0.0, 0.0, 0.0), *, weld: bool = True) -> Mesh:
@@ -212,9 +215,9 @@ class Mesh:
             weld: as for `from_trimesh`.
 
         Raises:
-            FileNotFoundError: no such file.
-            ValueError: the file cannot be read as a mesh, holds less than it declares (a truncated STL, PLY or OFF
-                file), contains no triangles, or contains something other than a mesh, such as a point cloud.
+            FileNotFoundError, IsADirectoryError: no such file.
+            ValueError: the file is empty, cannot be read as a mesh, holds less than it declares (a truncated STL, PLY
+                or OFF file), contains no triangles, or contains something other than a mesh, such as a point cloud.
             ImportError: trimesh, or a package that it needs for this kind of file, is not installed.
 
         Example:
@@ -225,14 +228,15 @@ class Mesh:
         checked_origin(origin)
         loaded = mesh_files.load_geometry(path)
         try:
-            return cls._of_geometry(mesh_files.joined_geometry(loaded), origin, weld)
+            return cls._of_geometry(mesh_files.joined_geometry(loaded), origin, weld, str(path))
         except ValueError as error:
             raise ValueError(f"path: {path}: {error}") from error
 
     @classmethod
     def load_all(cls, path: str | PathLike[str], origin: Origin = (0.0, 0.0, 0.0), *, weld: bool = True) -> list[Mesh]:
         """One mesh per object of a file, with their names: each mesh of a scene file (glb, gltf, 3mf, ...) in the
-        scene's frame, each object and group of an obj file, or the only mesh of other files.
+        scene's frame, each object and group of an obj file (named object_group), or the only mesh of other files; in
+        the order of the file.
 
         Args:
             path, origin, weld: as for `load`.
@@ -250,16 +254,16 @@ class Mesh:
         try:
             for geometry in mesh_files.placed_geometry(loaded):
                 part = f": {geometry.name}" if geometry.name else ""
-                meshes.append(cls._of_geometry(geometry, origin, weld))
+                meshes.append(cls._of_geometry(geometry, origin, weld, f"{path}{part}"))
         except ValueError as error:
             raise ValueError(f"path: {path}{part}: {error}") from error
         return meshes
 
     @classmethod
-    def _of_geometry(cls, geometry: mesh_files.Geometry, origin: Origin, weld: bool) -> Mesh:
+    def _of_geometry(cls, geometry: mesh_files.Geometry, origin: Origin, weld: bool, source: str = "") -> Mesh:
         cleaned, source_vertex, source_face = mesh_files.clean(geometry, arguments.flag(weld, "weld"))
         if is_float32(geometry.vertices):  # before welding, which joins vertices that have become equal
-            warn_of_rounding(geometry.vertices, geometry.faces, stacklevel=4)
+            warn_of_rounding(geometry.vertices, geometry.faces, source, stacklevel=4)
         mesh = cls(cleaned.vertices, cleaned.faces, origin)
         mesh.name = geometry.name
         mesh.welded_vertices = len(geometry.vertices) - len(cleaned.vertices)

@@ -37,8 +37,12 @@ def load_geometry(path: str | PathLike[str], apart: bool = False) -> Any:
         import trimesh
     except ImportError as error:
         raise ImportError("Mesh.load reads files through trimesh: pip install trimesh") from error
+    if Path(path).is_dir():
+        raise IsADirectoryError(f"path: {path} is a folder: expected a mesh file")
     if not Path(path).is_file():
         raise FileNotFoundError(f"path: no mesh file at {path}")
+    if Path(path).stat().st_size == 0:
+        raise ValueError(f"path: {path} is empty (0 bytes)")
     options: dict[str, Any] = {}
     if apart and Path(path).suffix.lower() == ".obj":
         options = {"split_objects": True, "split_groups": True}
@@ -137,6 +141,7 @@ def _parts(loaded: Any) -> Iterator[tuple[str | None, Any, np.ndarray | None]]:
         name = getattr(loaded, "metadata", {}).get("name")
         yield name if isinstance(name, str) else None, loaded, None
         return
-    for node in graph.nodes_geometry:
-        transform, name = graph[node]
+    order = {name: number for number, name in enumerate(loaded.geometry)}  # that of the file; the graph's is reversed
+    placed = sorted(((node, *graph[node]) for node in graph.nodes_geometry), key=lambda each: order[each[2]])
+    for node, transform, name in placed:
         yield node, loaded.geometry[name], np.asarray(transform)

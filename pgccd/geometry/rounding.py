@@ -1,4 +1,4 @@
-"""Meshes that float32 has rounded away: far from the origin of their coordinates distinct vertices become equal."""
+"""Meshes that float32 has distorted: far from the origin of their coordinates distinct vertices become equal."""
 
 import warnings
 
@@ -14,12 +14,13 @@ def is_float32(values: np.ndarray) -> bool:
         return bool((values.astype(np.float32) == values).all())
 
 
-def warn_of_rounding(points: np.ndarray, faces: np.ndarray, stacklevel: int = 3) -> None:
+def warn_of_rounding(points: np.ndarray, faces: np.ndarray, source: str = "", stacklevel: int = 3) -> None:
     """Warns of faces whose size is that of float32's rounding.
 
     Args:
         points: (V, 3) finite, given in float32.
         faces: (F, 3).
+        source: where they come from, in words: the start of the message. Default: an argument.
         stacklevel: see `warnings.warn`.
     """
     corners = points[faces]
@@ -29,9 +30,10 @@ def warn_of_rounding(points: np.ndarray, faces: np.ndarray, stacklevel: int = 3)
     if is_lost.any():
         face = int(np.argmax(is_lost))
         warnings.warn(
-            f"vertices: float32 has rounded away {int(is_lost.sum())} of {len(faces)} faces: the edges of face {face} "
-            f"are at most {size[face]:.3g} long, where coordinates are multiples of {unit[face]:.3g}. Give float64, or "
-            "coordinates relative to a point nearby",
+            f"{source or 'vertices'}: float32 has distorted {int(is_lost.sum())} of {len(faces)} faces: the edges of "
+            f"face {face} are at most {size[face]:.3g} long, where coordinates are multiples of {unit[face]:.3g}. "
+            + ("Export the file again" if source else "Give float64, or coordinates")
+            + " relative to a point nearby",
             UserWarning,
             stacklevel=stacklevel,
         )

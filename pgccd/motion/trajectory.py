@@ -108,7 +108,8 @@ class Trajectory:
 def _waypoints(values: Tensor, name: str, width: int, like: Tensor | None) -> Tensor:
     arguments.real_tensor(values, name)
     if values.dim() != 3 or values.shape[2] != width or values.shape[0] < 2:
-        raise ValueError(f"{name}: expected shape (T, N, {width}) with T >= 2, got {tuple(values.shape)}")
+        hint = "; bodies of all environments stand in one dimension, see Scene(world=...)" if values.dim() > 3 else ""
+        raise ValueError(f"{name}: expected shape (T, N, {width}) with T >= 2, got {tuple(values.shape)}{hint}")
     if like is not None and values.shape[:2] != like.shape[:2]:
         shape = (*like.shape[:2], width)
         raise ValueError(f"{name}: expected shape {shape}, as of position, got {tuple(values.shape)}")

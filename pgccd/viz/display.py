@@ -70,10 +70,10 @@ def show(
         motion: their paths: a `RigidMotion`, `VertexMotion` or `Trajectory`.
         hits: the result of `pgccd.detect` for this scene and motion, any report, also a padded one. Default: contacts
             are not shown.
-        path: of a file to write: an HTML page, or, if it ends in ".glb", a model for Blender and other viewers, which
-            has all bodies at the time of the first contact (at the start without one) and needs trimesh. Default: in a
-            notebook the page is displayed by the object returned; elsewhere it is written to a temporary file and
-            opened in the browser, or, without a display, its path is written to standard error.
+        path: of a file to write: ".html", a page; or ".glb", a model for Blender and other viewers, which has all
+            bodies at the time of the first contact (at the start without one) and needs trimesh. Default: in a notebook
+            the page is displayed by the object returned; elsewhere it is written to a temporary file and opened in the
+            browser, or, without a display, its path is written to standard error.
         fraction: body i moves on x_i(fraction_i t): a number or (N,) in [0, 1], such as `fraction` of
             `pgccd.resolve`; not with a `Trajectory`. A box on the page switches to whole paths, on which contacts are.
             Not in GLB files.
@@ -108,11 +108,14 @@ def show(
 
 
 def require_writable(path: Path) -> Path:
-    """The path of a file, if it can be written.
+    """The path of a page or a model, if it can be written.
 
     Raises:
+        ValueError: it is neither, by its suffix.
         OSError: it cannot.
     """
+    if path.suffix.lower() not in (".html", ".htm", ".glb"):
+        raise ValueError(f"path: expected a name that ends in .html, .htm or .glb, got {path}")
     if path.is_dir():
         raise IsADirectoryError(f"path: {path} is a folder: expected the name of a file")
     if not path.parent.is_dir():

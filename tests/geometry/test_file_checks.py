@@ -221,7 +221,7 @@ def test_coordinates_rounded_away_by_float32(tmp_path: Path, kind: str) -> None:
     points, faces = far_away(1e-3)
     points[:5] = 100.0 * CORNERS + 1e7  # a hundred times the rounding
     with pytest.warns(
-        UserWarning, match="^vertices: float32 has rounded away 4 of 8 faces: the edges of face 4 .* multiples of 1\\."
+        UserWarning, match="^.*: float32 has distorted 4 of 8 faces: the edges of face 4 .* multiples of 1\\."
     ):
         make(points, faces)
     with warnings.catch_warnings():
@@ -229,3 +229,21 @@ def test_coordinates_rounded_away_by_float32(tmp_path: Path, kind: str) -> None:
         make(points - 1e7, faces)
         pgccd.Mesh(points, faces)
         pgccd.Mesh(points.tolist(), faces)
+
+
+def test_empty_files_and_folders_are_named(tmp_path: Path) -> None:
+    pytest.importorskip("trimesh")
+    with pytest.raises(ValueError, match=r"^path: .*empty\.ply is empty \(0 bytes\)$"):
+        pgccd.Mesh.load(written(tmp_path, "empty.ply", b""))
+    with pytest.raises(IsADirectoryError, match=r"^path: .* is a folder: expected a mesh file$"):
+        pgccd.Mesh.load_all(tmp_path)
+
+
+def test_objects_come_in_the_order_of_their_file(tmp_path: Path) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    names = ["zeta", "alpha", "mid"]
+    scene = trimesh.Scene()
+    for number, name in enumerate(names):
+        scene.add_geometry(trimesh.creation.box((1.0 + number,) * 3), node_name=name, geom_name=name)
+    scene.export(tmp_path / "three.glb")
+    assert [mesh.name for mesh in pgccd.Mesh.load_all(tmp_path / "three.glb")] == names

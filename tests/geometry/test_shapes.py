@@ -76,3 +76,14 @@ def test_cylinder(sections: int) -> None:
 def test_wrong_arguments_are_named(make: Any, name: str) -> None:
     with pytest.raises((TypeError, ValueError), match=f"^{name}: expected"):
         make()
+
+
+def test_origins() -> None:
+    joint = (0.0, 0.0, -0.5)
+    for mesh in (
+        pgccd.Mesh.box([0.2, 0.2, 1.0], origin=joint),
+        pgccd.Mesh.cylinder(0.1, 1.0, origin=joint),
+        pgccd.Mesh.sphere(0.5, origin=joint),
+    ):
+        assert mesh.origin.tolist() == [0.0, 0.0, -0.5]
+        assert float(mesh.vertices[:, 2].amin()) == pytest.approx(0.0, abs=0.01)

@@ -128,6 +128,7 @@ def test_bad_input_is_named(tmp_path: Path) -> None:
     trajectory = pgccd.Trajectory(torch.stack([still] * 3), torch.stack([motion.orientation_t0] * 3))
     smaller = pgccd.Scene(scene.meshes, [0, 0])
     path: Any = tmp_path / "scene.html"
+    (tmp_path / "folder.html").mkdir()
     cases: list[tuple[Any, dict[str, Any], type[Exception], str]] = [
         ((scene.meshes, motion), {}, TypeError, "scene: expected a pgccd.Scene, got MeshSet"),
         (
@@ -146,7 +147,13 @@ def test_bad_input_is_named(tmp_path: Path) -> None:
         ((scene, trajectory), {"fraction": 0.5}, ValueError, "fraction: expected a motion of one step, got a Traj"),
         ((scene, motion), {"title": 3}, TypeError, "title: expected a string, got 3"),
         ((scene, motion), {"path": 3}, TypeError, "path: expected a path, got 3"),
-        ((scene, motion), {"path": tmp_path}, IsADirectoryError, "path: .* is a folder"),
+        (
+            (scene, motion),
+            {"path": tmp_path / "a.png"},
+            ValueError,
+            "path: expected a name that ends in .html, .htm or",
+        ),
+        ((scene, motion), {"path": tmp_path / "folder.html"}, IsADirectoryError, "path: .* is a folder"),
         ((scene, motion), {"path": tmp_path / "no" / "a.html"}, FileNotFoundError, "path: .* there is no folder"),
     ]
     for arguments, options, error, message in cases:

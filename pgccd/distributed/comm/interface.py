@@ -113,11 +113,11 @@ class Comm(ABC):
 
     @abstractmethod
     def sum(self, values: Tensor) -> Tensor:
-        """The sum over the ranks of values (k,) int64 (modulo 2^64) or float64."""
+        """The sum over the ranks of values (k, ...) int64 (modulo 2^64) or float64."""
 
     @abstractmethod
     def min(self, values: Tensor) -> Tensor:
-        """The minimum over the ranks of each of the values (k,) int64 or float64."""
+        """The minimum over the ranks of each of the values (k, ...) int64 or float64."""
 
     def any(self, flag: bool) -> bool:
         """True if the flag is set on any rank."""

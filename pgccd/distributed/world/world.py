@@ -58,7 +58,7 @@ class World(Generic[R]):
         path: of the motions of rigid bodies: "arc" or "linear".
         census: number and sum of the ids of all bodies, which migration preserves.
         columns: of this rank's own bodies, by name; names of the payload begin with ".".
-        steps_made: number of steps made.
+        steps_made: number of calls of `step`. A loop that searches a step several times has to count its own steps.
         found: pairs and contacts of the last step; None before the first.
 
     Example:
