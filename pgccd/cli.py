@@ -324,7 +324,7 @@ def _inputs(
     if options.page is not None:
         try:
             require_writable(options.page)
-        except OSError as error:
+        except (OSError, ValueError) as error:
             raise ArgumentError("--page", str(error).removeprefix("path: ")) from error
     if options.scene is not None and (options.meshes or options.motion is not None):
         raise ArgumentError("--scene", "takes the place of MESH and --motion")

@@ -87,8 +87,8 @@ def resolve(
 
     Args:
         scene: the bodies; its filters and margins apply.
-        motion: their paths over one step, not a `Trajectory`. With `RigidMotion(path="linear")`, vertices of a stopped body move straight to its pose at
-            f_i on the arc, see `RigidMotion.shortened`.
+        motion: their paths over one step, not a `Trajectory`. With `RigidMotion(path="linear")`, vertices of a stopped
+            body move straight to its pose at f_i on the arc, see `RigidMotion.shortened`.
         movable: (N,) bool: the bodies that may be stopped. Default: all.
         min_separation: length >= 0; bodies at most this far apart touch, as for `detect`.
         tolerance, broad_phase: as for `detect`. Bodies that start further apart than min_separation may move, even if
