@@ -165,16 +165,16 @@ def tip(centre: float) -> tuple[np.ndarray, np.ndarray]:
 def with_a_likely_pair(
     scene: pgccd.Scene, motion: pgccd.RigidMotion, toi: float
 ) -> tuple[pgccd.Scene, pgccd.RigidMotion]:
-    """Two more bodies, plates deep within each other's spheres, that touch at `toi`."""
+    """Two more bodies before them, plates deep within each other's spheres, that touch at `toi`."""
     plate = pgccd.Mesh((np.array(list(np.ndindex(2, 2, 2))) * 2.0 - 1.0) * [0.05, 5.0, 5.0], CUBE_FACES)
     far = torch.tensor([[100.0, 0.0, 0.0], [100.101, 0.0, 0.0]], dtype=torch.float64, device=scene.device)
     closer = torch.tensor([[0.001 / toi, 0.0, 0.0], [0.0, 0.0, 0.0]], dtype=torch.float64, device=scene.device)
     columns = (motion.position_t0, motion.position_t1, motion.orientation_t0)
     start, end, unit = (
-        torch.cat([column, more]) for column, more in zip(columns, (far, far + closer, columns[2]), strict=True)
+        torch.cat([more, column]) for column, more in zip(columns, (far, far + closer, columns[2]), strict=True)
     )
     meshes = [*scene.meshes.meshes, plate]
-    joined_scene = pgccd.Scene(meshes, [*scene.mesh_index.tolist(), 2, 2], device=scene.device)
+    joined_scene = pgccd.Scene(meshes, [2, 2, *scene.mesh_index.tolist()], device=scene.device)
     return joined_scene, pgccd.RigidMotion(start, unit, end, unit)
 
 
