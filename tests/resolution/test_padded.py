@@ -1,4 +1,4 @@
-"""`pgccd.resolve` in a given capacity: the same bits, no synchronisation, and incomplete results that move nobody."""
+"""`pgccd.resolve` in a given capacity: the same bits, no synchronisation; fractions of incomplete results are 0."""
 
 from __future__ import annotations
 

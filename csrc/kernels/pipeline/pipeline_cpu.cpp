@@ -92,8 +92,9 @@ class PairSearch {
         const int32_t pair = best.pair[row];
         horizon[pair] = best.toi[row];
         // Of contacts at the same time, that of the smallest features is the first.
-        if (best.toi[row] == 0.0)
+        if (best.toi[row] == 0.0) {
           known[pair] = first_feature(static_cast<FeatureKind>(best.kind[row]), best.features[2 * row]);
+        }
         if (narrow_.report == Report::kAny) known[pair] = -1;
       }
       std::erase_if(left, [&](const Wanted& w) {
