@@ -2,7 +2,7 @@
 
 python tests/mutants.py [--only NAME ...] [--list] [--jobs N] [--rest] [--equivalents] [--folder PATH]
 
-For each mutant of `mutant_list` the test modules it names must fail ("killed"), or it must be marked as equivalent,
+For each mutant of `mutants_of` the test modules it names must fail ("killed"), or it must be marked as equivalent,
 with the reason. Works on a copy of the project with its own build folder, for the CPU only. Mutants that replace one
 expression by another are compiled together and selected by an environment variable; the others one by one. Prints a
 table, and exits with 1 if a mutant survived or if the unchanged copy fails its tests.
@@ -21,7 +21,7 @@ from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from mutant_list import MUTANTS, Mutant
+from mutants_of import MUTANTS, Mutant
 
 ROOT = Path(__file__).resolve().parents[1]
 VARIABLE = "PGCCD_MUTANT"

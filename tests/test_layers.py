@@ -243,7 +243,7 @@ def test_oracle_shares_nothing_with_the_product() -> None:
         ("header", [p for p in sources() if p.suffix in {".h", ".cuh"}]),
         ("kernel", [p for p in sources() if p.suffix in {".cpp", ".cu"}]),
         ("python", python_files(PACKAGE)),
-        ("test", [p for p in python_files(TESTS) if p.name != "mutant_list.py"]),
+        ("test", python_files(TESTS)),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )

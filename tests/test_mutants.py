@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from mutant_list import MUTANTS, Mutant
 from mutants import ROOT, StaleMutantError, batches, span, with_mutant, with_switches
+from mutants_of import MUTANTS, Mutant
 
 TESTS = ROOT / "tests"
 
