@@ -145,7 +145,9 @@ def calls(folder: Path) -> dict[str, Call]:
             pgccd.VertexMotion, {"x_t0": torch.ones(5, 3), "x_t1": torch.ones(5, 3)}, {"x_t0": ("x_t1",)}
         ),
         "MovingBodies.of": Call(pgccd.MovingBodies.of, {"scene": scene, "motion": motion}),
-        "BufferSizes": Call(BufferSizes, {"pairs": 9, "contacts": 9, "overlaps": 9, "launches": 4, "long_rows": True}),
+        "BufferSizes": Call(
+            BufferSizes, {"pairs": 9, "contacts": 9, "overlaps": 9, "launches": 4, "long_rows": True, "crowded": True}
+        ),
         "Capacity.of": Call(pgccd.Capacity.of, {"body_count": 9, "pair_count": 9, "self_vertex_count": 0}),
         "Capacity.times": Call(BufferSizes(9, 9).times, {"factor": 1.5}),
         "detect": Call(

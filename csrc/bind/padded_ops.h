@@ -111,11 +111,11 @@ struct PaddedOps {
                                       const TensorList& bodies, bool linear_path, const Tensor& pairs,
                                       const Tensor& pair_counts, double min_separation, double tolerance,
                                       bool nonzero_toi, const std::vector<int64_t>& capacity) {
-    check_capacity(capacity, 6);
+    check_capacity(capacity, 7);
     ContactSearch search =
         search_of(pairs, pair_counts, {min_separation, tolerance, nonzero_toi}, false, Report::kFirst);
     search.traverse_capacity = traverse_capacity(capacity);
-    search.contact_capacity = {capacity[5], 0};
+    search.contact_capacity = {capacity[6], 0};
     rows<double>(first, "first", {kAnySize});
     const FirstToi known{rows<int64_t>(owners, "owners", {pairs.size(0), 2}), data<double>(first), first.size(0)};
     const Session session(pairs);
@@ -154,11 +154,11 @@ struct PaddedOps {
   }
 
   static TraverseCapacity traverse_capacity(const std::vector<int64_t>& capacity) {
-    return {capacity[0], capacity[1], capacity[2], capacity[3], capacity[4]};
+    return {capacity[0], capacity[1], capacity[2], capacity[3], capacity[4], capacity[5] != 0};
   }
 
   static void check_contact_capacity(const std::vector<int64_t>& capacity) {
-    check_capacity(capacity, 7);
+    check_capacity(capacity, 8);
     STD_TORCH_CHECK(Session::kHostKnowsCounts || capacity.back() != kExactly,
                     "capacity: an exact number of contacts needs the CPU; on a GPU give a capacity");
   }
@@ -166,7 +166,7 @@ struct PaddedOps {
   // Rows have 32-bit numbers.
   static void check_capacity(const std::vector<int64_t>& capacity, size_t count) {
     STD_TORCH_CHECK(capacity.size() == count, "capacity: expected ", count, " numbers, got ", capacity.size());
-    constexpr size_t kWithContacts = 7;
+    constexpr size_t kWithContacts = 8;
     for (size_t k = 0; k < count; ++k) {
       const int64_t least = count == kWithContacts && k + 1 == count ? kExactly : 0;
       STD_TORCH_CHECK(capacity[k] >= least && capacity[k] < (int64_t{1} << 31),
@@ -181,7 +181,7 @@ struct PaddedOps {
     check_contact_capacity(capacity);
     ContactSearch search = search_of(pairs, pair_counts, settings, tests_start, report_of(report));
     search.traverse_capacity = traverse_capacity(capacity);
-    search.contact_capacity = {capacity[5], capacity[6]};
+    search.contact_capacity = {capacity[6], capacity[7]};
     ContactTensors found{pairs, pairs, pairs, pairs, pairs, pairs, pairs, pairs};
     const auto make_output = [&](int64_t row_count) {
       found = new_contact_tensors(pairs, row_count);

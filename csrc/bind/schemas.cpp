@@ -64,8 +64,8 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
       "Tensor? is_static, Tensor? elsewhere, Tensor? is_invalid, float min_separation, float tolerance, "
       "int broad_phase, int[] capacity, bool at_any_times=False) -> (Tensor pairs, Tensor counts)");
   // Columns of contacts, body pairs (., 2) i64 first; all counts, followed by invalid_rows. capacity = [poses, tasks,
-  // leaf_pairs, candidates, launches, open, contacts]; capacities and counts: see kernels/traverse/traverse.h and
-  // kernels/narrow/narrow.h.
+  // leaf_pairs, candidates, launches, crowded, open, contacts]; capacities and counts: see kernels/traverse/traverse.h
+  // and kernels/narrow/narrow.h.
   library.def(
       "contacts_padded_rigid(Tensor[] mesh_set, Tensor[] bodies, bool linear_path, Tensor pairs, Tensor pair_counts, "
       "Tensor invalid_rows, float min_separation, float tolerance, bool nonzero_toi, bool tests_start, int report, "

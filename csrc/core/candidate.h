@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <limits>
 #include <type_traits>
 
 #include "core/counter.h"
@@ -76,6 +77,20 @@ struct CandidateSpan {
     if (k < front) return static_cast<int64_t>(before->front) + k;
     return size - 1 - (static_cast<int64_t>(before->back) + k - front);
   }
+};
+
+// A kind and the feature of the first body, in the order of contacts.
+using FirstFeature = int64_t;
+constexpr FirstFeature kNoFeature = std::numeric_limits<FirstFeature>::max();
+PGCCD_HD FirstFeature first_feature(FeatureKind kind, int32_t feature_i) {
+  return static_cast<int64_t>(kind) << 32 | feature_i;
+}
+
+// What a search of a first part of the candidates found, of each pair (device, pair_count).
+struct FirstPart {
+  const unsigned long long* toi;  // bits of the earliest, all ones for none
+  bool any_will_do;               // whether pairs with a contact are decided
+  const FirstFeature* known;      // of contacts at t = 0, else kNoFeature; null: pairs with such a contact are decided
 };
 
 }  // namespace pgccd

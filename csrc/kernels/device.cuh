@@ -89,7 +89,17 @@ __device__ inline bool is_last_block(uint32_t* blocks_done) {
 
 __device__ inline uint32_t lanes_below(int lane) { return (1u << lane) - 1u; }
 
-// Threads of a warp that append to one list share one atomic. Returns this thread's index.
+// Threads of a warp that append an item each to one list share one atomic. Returns this thread's index.
+template <class Count>
+__device__ Count warp_append(Count* counter) {
+  const unsigned active = __activemask();
+  const int lane = threadIdx.x % kWarp, leader = __ffs(active) - 1;
+  Count base = 0;
+  if (lane == leader) base = atomicAdd(counter, static_cast<Count>(__popc(active)));
+  return __shfl_sync(active, base, leader) + __popc(active & lanes_below(lane));
+}
+
+// The same for `count` items each.
 template <class Count>
 __device__ Count warp_append(Count* counter, uint32_t count) {
   const unsigned active = __activemask();

@@ -102,12 +102,14 @@ class BufferSizes(Capacity):
     open: int = 0  #: feature pairs left by quick rejection
     launches: int = 4  #: traversal launches after the first
     long_rows: bool = False  #: whether one body may have more than 32 partners of larger index
+    #: whether a pair of bodies may have very many candidates: a few of its leaves are then searched first
+    crowded: bool = False
 
     def __post_init__(self) -> None:
         for name in _NAMES:
             number = getattr(self, name)
-            if name == "long_rows":
-                arguments.flag(number, "long_rows")
+            if name in ("long_rows", "crowded"):
+                arguments.flag(number, name)
             elif type(number) is not int or number < 0:  # the rare case
                 arguments.integer(number, name, _EXACT if name == "contacts" else 0, "a number of rows >= 0")
 
@@ -129,6 +131,8 @@ class BufferSizes(Capacity):
 
     def grown(self, needed: BufferSizes) -> BufferSizes:
         """A capacity for a step that needed at least `needed` and stopped at the first overflow."""
+        if needed.crowded and not self.crowded:
+            needed = replace(needed, candidates=0, open=0)  # as many as listed all at once
         # Later stages saw only part of the pairs, so their counts are scaled up.
         more = max(1.0, needed.pairs / max(1, self.pairs), needed.overlaps / max(1, self.overlaps))
         enough = replace(
@@ -155,7 +159,8 @@ class BufferSizes(Capacity):
     @property
     def of_contacts(self) -> list[int]:
         """The `capacity` argument of `ops.contacts_padded`."""
-        return [self.poses, self.tasks, self.leaf_pairs, self.candidates, self.launches, self.open, self.contacts]
+        sizes = [self.poses, self.tasks, self.leaf_pairs, self.candidates, self.launches]
+        return [*sizes, int(self.crowded), self.open, self.contacts]
 
 
 _NAMES = tuple(field.name for field in fields(BufferSizes))
@@ -237,6 +242,7 @@ class Counts(NamedTuple):
     candidates: int
     tasks_left: int
     node_tests: int
+    crowded: int
     traverse_overflow: int
     traverse_began: int
     traverse_ended: int
@@ -269,6 +275,7 @@ class Counts(NamedTuple):
             open=self.open,
             launches=max(1, 2 * capacity.launches) if self.tasks_left else capacity.launches,
             long_rows=self.long_rows != 0,
+            crowded=capacity.crowded or self.crowded != 0,
         )
 
     @property
@@ -288,7 +295,7 @@ COUNTS_OF_PAIRS = COUNT_ROWS["poses"]
 
 
 def overflow_flags(counts: Tensor) -> list[Tensor]:
-    """Flags (1,) int64, nonzero where a search with these counts (21,), or a sum of counts, exceeded a capacity."""
+    """Flags (1,) int64, nonzero where a search with these counts (22,), or a sum of counts, exceeded a capacity."""
     rows = (COUNT_ROWS[f"{stage}_overflow"] for stage in ("pairs", "traverse", "contacts"))
     return [counts[row : row + 1] for row in rows]
 
@@ -297,7 +304,7 @@ def busy_nanoseconds(counts: NDArray[np.int64]) -> NDArray[np.int64]:
     """(ranks,): nanoseconds in which at least one pass was running; passes may overlap in time on a GPU.
 
     Args:
-        counts: (ranks, passes, 21): `Counts` of each pass of a step.
+        counts: (ranks, passes, 22): `Counts` of each pass of a step.
     """
     began, ended = counts[:, :, COUNT_ROWS["traverse_began"]], counts[:, :, COUNT_ROWS["narrow_ended"]]
     order = np.argsort(began, axis=1)

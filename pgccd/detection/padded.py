@@ -26,7 +26,7 @@ class PaddedSearch:
     capacity: BufferSizes
     broad_phase: str
     rows: ContactRows  #: padded; the first column is body pairs (., 2)
-    counts: Tensor  #: (21 + F,) int64: `Counts`, then `MovingBodies._first_invalid_rows`
+    counts: Tensor  #: (22 + F,) int64: `Counts`, then `MovingBodies._first_invalid_rows`
     #: (N,) float64, negative for bodies whose pose is invalid: those of the others were searched. None: if a pose is
     #: invalid, nothing was.
     reach: Tensor | None = None
@@ -207,7 +207,7 @@ def lower_first_toi(
         query, capacity: of the search.
 
     Returns:
-        Counts (21,); `contacts` is the number of pairs with a contact.
+        Counts (22,); `contacts` is the number of pairs with a contact.
     """
     return ops.lower_first_toi_rigid(
         first,

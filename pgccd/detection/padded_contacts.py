@@ -84,7 +84,7 @@ class PaddedContacts(ContactColumns, PaddedRows):
         pairs, toi, kind, features, coordinates, point, normal, status: as of `Contacts`, with padding.
         count: (1,) int64: number of contacts found.
         overflow: (1,) bool: the result is incomplete; `trim` raises the error.
-        counts: (21 + F,) int64: `pgccd.detection.capacity.Counts`, then the first invalid rows of poses and columns.
+        counts: (22 + F,) int64: `pgccd.detection.capacity.Counts`, then the first invalid rows of poses and columns.
         capacity: of the result and of all intermediate lists.
         broad_phase: as in `Stats`.
         bodies: number of bodies.

@@ -132,7 +132,7 @@ class SearchPass:
         return self.in_step(rows[0]), rows[4]
 
     def counts(self) -> Tensor:
-        """(21,) int64 on the device: `Counts` of the contacts that `first_contacts` returns."""
+        """(22,) int64 on the device: `Counts` of the contacts that `first_contacts` returns."""
         if self._contacts is None:
             return self.start().counts[: len(COUNT_ROWS)]
         return _counts_of(self._contacts.stats).to(self.pairs.device)
@@ -221,7 +221,7 @@ def find_pass(
 
 
 def _counts_of(stats: Stats) -> Tensor:
-    """(21,) int64: `Counts` reconstructed from the statistics of a finished search."""
+    """(22,) int64: `Counts` reconstructed from the statistics of a finished search."""
     counts = dict.fromkeys(Counts._fields, 0)
     counts |= {"pairs": stats.pcs, "pairs_written": stats.pcs, "candidates": stats.candidates}
     counts |= {"contacts": stats.contacts, "unresolved": stats.unresolved, "node_tests": stats.node_tests}

@@ -168,7 +168,7 @@ def contacts_padded(
     report: int,
     capacity: Sequence[int],
 ) -> tuple[Tensor, ...]:
-    """Padded contact rows, body pairs in the first column; and all counts (21,) followed by invalid_rows. Does not
+    """Padded contact rows, body pairs in the first column; and all counts (22,) followed by invalid_rows. Does not
     synchronise.
     """
     return _found(pairs, invalid_rows.shape[0], capacity)
@@ -222,9 +222,9 @@ def lower_first_toi_rigid(
     capacity: Sequence[int],
 ) -> Tensor:
     """Lowers first (N,) float64 at the rows owners (P, 2) int64 of each pair (P, 2) to the pair's first toi. Returns
-    all counts (21,). Does not synchronise. capacity: (6,), without contacts.
+    all counts (22,). Does not synchronise. capacity: (7,), without contacts.
     """
-    return int64(owners, 21)
+    return int64(owners, 22)
 
 
 @operator
@@ -253,4 +253,4 @@ def _contact_rows(like: Tensor, count: int | torch.SymInt) -> ContactRows:
 
 def _found(like: Tensor, invalid_row_count: int, capacity: Sequence[int]) -> tuple[Tensor, ...]:
     count = capacity[-1] if capacity[-1] >= 0 else unknown_count()  # -1: as many rows as found
-    return int64(like, count, 2), *_contact_rows(like, count)[1:], int64(like, 21 + invalid_row_count)
+    return int64(like, count, 2), *_contact_rows(like, count)[1:], int64(like, 22 + invalid_row_count)

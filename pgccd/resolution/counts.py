@@ -20,7 +20,7 @@ class SearchCounts:
     """The counts of a rank's searches in a step, on the device.
 
     Args:
-        of_passes: (21,) int64 of each pass of the whole step: `pgccd.detection.capacity.Counts`.
+        of_passes: (22,) int64 of each pass of the whole step: `pgccd.detection.capacity.Counts`.
         of_rounds: the same of each round of collision resolution.
     """
 
@@ -42,7 +42,7 @@ class GatheredCounts(NamedTuple):
     """The `SearchCounts` of all ranks. Of rounds, only the contacts: the size does not depend on their number."""
 
     secondary_contacts: NDArray[np.int64]  #: (ranks,)
-    of_passes: NDArray[np.int64]  #: (ranks, passes, 21)
+    of_passes: NDArray[np.int64]  #: (ranks, passes, 22)
 
     @staticmethod
     def width(passes: int) -> int:

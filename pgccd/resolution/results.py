@@ -69,7 +69,7 @@ class PaddedResolution(Generic[M]):
     unresolved: Tensor
     rounds: Tensor
     incomplete: Tensor
-    # (searches, 21): `Counts` of each; the values of `MovingBodies._first_invalid_rows`; (1,): nonzero if the last
+    # (searches, 22): `Counts` of each; the values of `MovingBodies._first_invalid_rows`; (1,): nonzero if the last
     # round changed a body.
     _counts: Tensor = field(repr=False)
     _first_invalid_rows: Tensor = field(repr=False)

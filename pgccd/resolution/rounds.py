@@ -91,7 +91,7 @@ class RoundSearch(Protocol):
             first: (N,) float64: first toi, relative to the part that each body moves; lowered in place.
 
         Returns:
-            (21,) int64 on the device: `pgccd.detection.capacity.Counts`.
+            (22,) int64 on the device: `pgccd.detection.capacity.Counts`.
         """
         ...
 
@@ -221,7 +221,7 @@ class Attempt:
 
     def make_rounds(self, count: int) -> tuple[Tensor, list[Tensor]]:
         """Enqueues rounds. Returns (count,) int64: nonzero for each round that changed a body of this rank; and the
-        counts (21,) of each.
+        counts (22,) of each.
         """
         changes, counts = torch.zeros(count, dtype=torch.int64, device=self._device), []
         for change in changes.split(1) if count else ():
@@ -249,7 +249,7 @@ class Attempt:
 
     def _make_round(self, change: Tensor, anywhere: Tensor | None = None) -> Tensor:
         """Enqueues a round, which sets `change` (1,) to nonzero if it changed a body of this rank, and `anywhere` (1,)
-        if any rank found a contact, where the exchange `shares_found`. Returns its counts (21,).
+        if any rank found a contact, where the exchange `shares_found`. Returns its counts (22,).
         """
         capacity = self.plan.capacity(len(self.capacities))
         self.capacities.append(capacity)

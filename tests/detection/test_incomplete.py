@@ -20,7 +20,7 @@ from pgccd.detection.capacity import BufferSizes, Capacity
 
 REPORTS = ("any", "first", "all", "earliest")
 GROUPINGS: tuple[Any, ...] = ("scene", "world", "body")
-PARTS = [f.name for f in fields(BufferSizes) if f.name not in ("launches", "long_rows")]
+PARTS = [f.name for f in fields(BufferSizes) if f.type == "int" and f.name != "launches"]
 NAN, INF = float("nan"), float("inf")
 WORLDS = 4
 

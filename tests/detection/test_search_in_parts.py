@@ -1,6 +1,6 @@
 """The search for first contacts in two parts: leaves that may meet first, then what may come before the contacts found.
-On a GPU many body pairs are searched so; on a CPU all, and for the earliest contact in batches. It must report what a
-search for all contacts does.
+On a GPU many body pairs are searched so, and crowded ones, of which the first part is a sample; on a CPU all, in
+batches. It must report what a search for all contacts does.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ FIRST: list[narrow.Report] = [report for report in narrow.REPORTS if report != "
 def assert_parts_agree(
     scene: pgccd.Scene, motion: pgccd.RigidMotion | pgccd.VertexMotion, report: narrow.Report, separation: float
 ) -> pgccd.Contacts:
-    """Detects with many and with few pairs of capacity."""
+    """Detects with many and with few pairs of capacity, and as a crowded search."""
     whole = pgccd.detect(scene, motion, report, separation)
     needed = whole.stats.needed
     assert needed is not None
@@ -49,6 +49,10 @@ def assert_parts_agree(
     else:
         assert_same(parts, expected)
         assert_same(whole, expected)
+    crowded = pgccd.detect(scene, motion, report, separation, capacity=replace(capacity, crowded=True)).trim()
+    assert torch.equal(crowded.pairs, parts.pairs)
+    if report != "any":
+        assert_same(crowded, parts)
     if scene.device.type == "cuda" and report == "first" and len(whole) > 20:
         assert parts.stats.candidates < whole.stats.candidates
     return parts
@@ -257,8 +261,23 @@ def test_one_contact_of_many_at_the_start(
     assert torch.equal(found.pairs, expected.pairs)
     if isinstance(found, pgccd.Contacts):
         assert_same(found, expected)
-    if separation > 0.0 and device.type == "cpu":
-        assert every.stats.candidates > 10_000 and found.stats.candidates < every.stats.candidates / 3
+    if separation == 0.0:
+        return
+    assert every.stats.candidates > 10_000
+    # A GPU searches all at once what fits, and in parts from then on; in a graph as well.
+    capacity = pgccd.Capacity.of(3)
+    for _ in range(4):
+        hits = pgccd.detect(scene, motion, report, separation, capacity=capacity)
+        if not bool(hits.overflow):
+            break
+        with pytest.raises(pgccd.CapacityError) as raised:
+            hits.trim()
+        capacity = raised.value.larger
+    within = hits.trim()
+    assert torch.equal(within.pairs, expected.pairs)
+    if isinstance(within, pgccd.Contacts):
+        assert_same(within, expected)
+    assert within.stats.candidates < every.stats.candidates / 3
 
 
 @pytest.mark.parametrize("report", ["first", "earliest"])

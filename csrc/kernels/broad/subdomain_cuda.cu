@@ -235,7 +235,7 @@ void count_leaving(const DeviceContext& context, const BodyPositions& bodies, co
                    int64_t* count) {
   fill_bytes(context, count, 0, 1);
   for_each_item(context, bodies.count, [=] __device__(int64_t body) {
-    if (is_leaving(subdomain, bodies, body)) warp_append(reinterpret_cast<unsigned long long*>(count), 1);
+    if (is_leaving(subdomain, bodies, body)) warp_append(reinterpret_cast<unsigned long long*>(count));
   });
 }
 

@@ -141,6 +141,9 @@ template <class Bodies>
 void search_candidates(const DeviceContext& context, const Bodies& bodies, Search& search,
                        const CandidateSpan& candidates, bool is_last);
 
+// What the first part found; with the smallest features of contacts at t = 0, if they help.
+FirstPart first_part_of(const DeviceContext& context, const Search& search, bool with_features);
+
 // Unused rows of `out` are filled: pair and features -1, toi infinite, the rest 0.
 template <class Bodies>
 void write_contacts(const DeviceContext& context, const Bodies& bodies, const Search& search, int64_t most,

@@ -38,7 +38,7 @@ __global__ void __launch_bounds__(kBlockThreads) lower_owners(Search search, Fir
   const int64_t pair = static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x;
   const unsigned long long toi = pair < search.input.pair_count ? search.best[pair] : ~0ull;
   if (toi != ~0ull) {
-    warp_append(&seen.contacts, 1);
+    warp_append(&seen.contacts);
     for (int side = 0; side < 2; ++side) {
       atomicMin(reinterpret_cast<unsigned long long*>(known.first + known.owners[2 * pair + side]), toi);
     }
@@ -210,6 +210,21 @@ void search_candidates(const DeviceContext& context, const Bodies& bodies, Searc
   launch_quickly(context, bodies, search);
   launch_plainly(context, bodies, search);
   is_last ? launch_patiently(context, bodies, search) : end_first_part(context, search);
+}
+
+FirstPart first_part_of(const DeviceContext& context, const Search& search, bool with_features) {
+  const bool any_will_do = search.input.report == Report::kAny;
+  if (!with_features || any_will_do || search.contacts == nullptr) return {search.best, any_will_do, nullptr};
+  const int64_t pair_count = search.input.pair_count;
+  FirstFeature* known = context.allocate<FirstFeature>(pair_count);
+  for_each_item(context, pair_count, [=] __device__(int64_t pair) { known[pair] = kNoFeature; });
+  for_each_counted(context, &search.counters->contacts, search.capacity, [=] __device__(int64_t k) {
+    const Candidate& c = search.candidate(k);
+    if (search.contacts[k].toi > 0.0) return;
+    atomicMin(reinterpret_cast<long long*>(known + c.pair),
+              static_cast<long long>(first_feature(static_cast<FeatureKind>(c.kind), c.feature_i)));
+  });
+  return {search.best, false, known};
 }
 
 template <class Bodies>

@@ -81,7 +81,7 @@ __device__ inline void report(const Search& search, int32_t row, int32_t pair, c
   if (outcome.status != Status::kTouch && outcome.status != Status::kUnresolved) return;
   if (search.best != nullptr) atomicMin(search.best + pair, toi_bits(outcome.toi));
   if (search.contacts == nullptr) return;
-  const uint32_t at = warp_append(&search.counters->contacts, 1);
+  const uint32_t at = warp_append(&search.counters->contacts);
   if (at >= search.capacity) return;
   search.contacts[at] = {row, static_cast<int32_t>(outcome.status), outcome.toi};
 }

@@ -66,7 +66,7 @@ __global__ void __launch_bounds__(kBlockThreads, 3) search_quickly(Bodies bodies
         is_quickly_free(bodies, pair, candidate, search.input.settings, prospect.latest, progress)) {
       continue;
     }
-    leave_open(search, warp_append(&search.counters->open, 1), progress, c, candidate.pair);
+    leave_open(search, warp_append(&search.counters->open), progress, c, candidate.pair);
   }
 }
 
@@ -81,7 +81,7 @@ __device__ void solve_open(const Bodies& bodies, const Search& search, uint32_t 
   const Outcome<double> outcome =
       solve_plainly(bodies, pair, candidate, search.input.settings, prospect.latest, open.progress());
   if (outcome.status == Status::kOpen) {
-    search.patient[warp_append(&search.counters->patient, 1)] = item;
+    search.patient[warp_append(&search.counters->patient)] = item;
   } else {
     report(search, open.row, open.pair, outcome);
   }

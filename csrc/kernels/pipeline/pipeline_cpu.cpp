@@ -5,35 +5,11 @@
 #include <tuple>
 
 #include "kernels/pipeline/pipeline.h"
+#include "kernels/traverse/leaf_feature_item.h"
 #include "kernels/traverse/leaf_separation.h"
 
 namespace pgccd {
 namespace {
-
-// A kind and the feature of the first body, in the order of contacts.
-using FirstFeature = int64_t;
-constexpr FirstFeature kNoFeature = std::numeric_limits<FirstFeature>::max();
-FirstFeature first_feature(FeatureKind kind, int32_t feature_i) { return static_cast<int64_t>(kind) << 32 | feature_i; }
-
-// A lower bound of that of all candidates of a pair of leaves.
-template <class Bodies>
-FirstFeature first_feature_of(const Bodies& bodies, const TraverseInput& input, const LeafPair& item) {
-  const int64_t *const pair = input.pairs + 2 * int64_t{item.pair}, sides = pair[0] == pair[1] ? 2 : 1;
-  const int32_t node[2] = {item.leaves.first, item.leaves.second};
-  int32_t first = std::numeric_limits<int32_t>::max();
-  for (int side = 0; side < sides; ++side) {
-    const MeshOffsets& offsets = bodies.meshes.offsets[bodies.mesh_index[pair[side]]];
-    const NodeLink leaf = bodies.meshes.node_links[kBlockWidth * offsets.block + node[side]];
-    const Triangle* const triangles = bodies.meshes.triangles + offsets.face + leaf.first;
-    for (int k = 0; k < leaf.triangle_count; ++k) {
-      for (int c = 0; c < 3; ++c) {
-        if (triangles[k].represented >> c & 1) first = std::min(first, triangles[k].vertex[c]);
-      }
-    }
-  }
-  const bool has_vertex = first != std::numeric_limits<int32_t>::max();
-  return has_vertex ? first_feature(FeatureKind::kVertexFace, first) : first_feature(FeatureKind::kFaceVertex, 0);
-}
 
 // A search on the CPU: adds to the counts and to the time of the narrow phase.
 template <class Bodies>
@@ -130,7 +106,9 @@ class PairSearch {
     for_each_pair(wanted, [&](size_t begin, size_t end) {
       const auto first = wanted.begin() + begin, last = wanted.begin() + end;
       if (end - begin > kFirstBatch) {
-        std::for_each(first, last, [&](Wanted& w) { w.first = first_feature_of(bodies_, traversal_, w.leaves); });
+        std::for_each(first, last, [&](Wanted& w) {
+          w.first = first_feature_of(bodies_, traversal_.pairs + 2 * int64_t{w.leaves.pair}, w.leaves.leaves);
+        });
       }
       std::sort(first, last, [](const Wanted& a, const Wanted& b) {
         return std::tie(a.leaves.begin, a.first) < std::tie(b.leaves.begin, b.first);

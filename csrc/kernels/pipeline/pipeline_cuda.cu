@@ -5,20 +5,17 @@
 namespace pgccd {
 namespace {
 
-// With fewer body pairs, two parts take longer than one: every launch has a minimum duration.
-constexpr int64_t kManyPairs = 1 << 18;
-
-// Traversal and narrow phase. If one contact of each of many pairs is wanted, in two parts: the second only needs to
-// consider the motion until the contacts found in the first. The result is the same.
+// Traversal and narrow phase. If one contact of each pair is wanted, possibly in two parts: see SearchFirstPart. The
+// result is the same.
 template <class Bodies>
 Search search_pairs(const DeviceContext& context, const Bodies& bodies, const ContactSearch& search,
                     bool with_contacts) {
   Search narrow = new_search(context, search.narrow, search.contact_capacity.open, with_contacts);
   SearchFirstPart search_first_part;
-  if (search.narrow.report != Report::kAll && search.traversal.pair_count >= kManyPairs) {
+  if (search.narrow.report != Report::kAll) {
     search_first_part = [&](const CandidateSpan& candidates) {
       search_candidates(context, bodies, narrow, candidates, false);
-      return narrow.best;
+      return first_part_of(context, narrow, search.traverse_capacity.crowded);
     };
   }
   const CandidateSpan candidates = traverse_padded(context, bodies, search.traversal, search.pair_count,

@@ -62,7 +62,7 @@ __global__ void __launch_bounds__(kBlockThreads) affected_motion_kernel(Affected
     const int pairs = static_cast<int>(smaller<int64_t>(kTilePairs, given.pair_count - begin));
     for (int k = threadIdx.x; k < pairs; k += kBlockThreads) {
       require_on_device(given.affected.is_sound(begin + k), "pairs: expected padding, or robots");
-      if (given.affected(begin + k)) tile[warp_append(&count, 1)] = k;
+      if (given.affected(begin + k)) tile[warp_append(&count)] = k;
     }
     __syncthreads();
     if (threadIdx.x == 0) first = atomicAdd(&found->count, count);

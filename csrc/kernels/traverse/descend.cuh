@@ -12,7 +12,7 @@
 namespace pgccd {
 
 // Resident blocks per multiprocessor: more would have too few registers for the poses of a round.
-constexpr int kDescentBlocks = 5;
+constexpr int kDescentBlocks = 4;
 constexpr int kGroupsPerWarp = kWarp / kBlockWidth;
 constexpr int kGroupsPerBlock = kBlockThreads / kBlockWidth;
 constexpr int kStackSize = 64;
@@ -81,17 +81,25 @@ struct Group {
 };
 
 // In each round every group of a warp splits one node pair of its task. All data of a round are loaded at once: how a
-// node pair will be split is decided when it is found.
-// `task_at`: returns the task of an index.
-template <class Bodies, class TaskAt>
-__device__ void descend(const Pairs<Bodies>& pairs, int launch, const WorkQueue& queue, TaskAt&& task_at,
-                        int shared_rounds, LeafPairList leaves, TaskList rest, Counter* node_tests) {
+// node pair will be split is decided when it is found. The first launch starts from the roots, later ones from the
+// tasks that the one before returned.
+template <class Bodies>
+__global__ void __launch_bounds__(kBlockThreads, kDescentBlocks)
+    descend(Pairs<Bodies> pairs, int launch, TaskHandover handover, LeafPairList leaves, Counter* node_tests) {
+  wait_for_previous_kernels();
+  handover.prepare_next();
+  const TaskList tasks = handover.from, rest = handover.to;
+  const uint32_t task_count = pairs.count() > 0 ? tasks.size() : 0;
+  const int shared_rounds = shared_rounds_of(task_count);
+  const uint32_t count = task_count << (Route::kSlotBits * shared_rounds);
+  // In the first launch a block takes at most 1.25 times its even share.
+  const WorkQueue queue{handover.taken, count, launch == 0 ? count / gridDim.x + count / (4 * gridDim.x) + 1 : kNoItem};
   using Sweep = SweepOf<Bodies>;
   __shared__ alignas(16) char memory[kGroupsPerBlock * sizeof(GroupShared<Sweep>)];
   __shared__ WarpBuffer<LeafPair> buffers[kWarpsPerBlock];
   __shared__ uint32_t taken_by_block;
   const int lane = threadIdx.x % kWarp, slot = lane % kBlockWidth, shift = lane - slot;
-  const int most_rounds = rounds_of_launch(launch, queue.count >> (Route::kSlotBits * shared_rounds));
+  const int most_rounds = rounds_of_launch(launch, task_count);
   WorkShare share(queue, kGroupsPerWarp, taken_by_block);
   auto& shared = reinterpret_cast<GroupShared<Sweep>*>(memory)[threadIdx.x / kBlockWidth];
   Group group;
@@ -105,12 +113,10 @@ __device__ void descend(const Pairs<Bodies>& pairs, int launch, const WorkQueue&
       if (idle == 0) break;
       const uint32_t item = share.take(idle, shift);
       if (group.size > 0 || item == kNoItem) continue;
-      const Task task = task_at(item >> (Route::kSlotBits * shared_rounds));
-      // Copied before the split is known, so that no load waits for another.
+      const Task task = tasks.items[item >> (Route::kSlotBits * shared_rounds)];
       copy_words(pairs.sweeps[task.pair], shared.sweep, slot, kBlockWidth);
       const LocalPose* poses = pairs.first_poses(task.pair);
       for (int k = 0; k < kPosesAtHand; ++k) copy_words(poses[k], shared.poses[k], slot, kBlockWidth);
-      if (task.split.is_none()) continue;
       const bool is_one_body = Sweep::may_be_one_body && pairs.sweeps[task.pair].is_one_body();
       if (slot == 0) shared.stack[0] = task.split;
       group.poses = shared.poses;
@@ -163,34 +169,6 @@ __device__ void descend(const Pairs<Bodies>& pairs, int launch, const WorkQueue&
   buffer.flush(waiting, lane, leaves.count, put_leaf);
   for (int step = kWarp / 2; step > 0; step /= 2) splits += __shfl_down_sync(kAllLanes, splits, step);
   if (lane == 0 && splits > 0) atomicAdd(node_tests, static_cast<Counter>(splits) * kBlockWidth);
-}
-
-// The first tasks: the roots of every body pair.
-template <class Bodies>
-__global__ void __launch_bounds__(kBlockThreads, kDescentBlocks)
-    descend_from_roots(Pairs<Bodies> pairs, const SplitPair* roots, uint32_t* next, LeafPairList leaves, TaskList rest,
-                       Counter* node_tests) {
-  wait_for_previous_kernels();
-  const uint32_t pair_count = pairs.count();
-  const int shared_rounds = shared_rounds_of(pair_count);
-  const uint32_t count = pair_count << (Route::kSlotBits * shared_rounds);
-  // A block takes at most 1.25 times its even share.
-  const WorkQueue queue{next, count, count / gridDim.x + count / (4 * gridDim.x) + 1};
-  const auto root_of = [roots](uint32_t pair) { return Task{static_cast<int32_t>(pair), roots[pair]}; };
-  descend(pairs, 0, queue, root_of, shared_rounds, leaves, rest, node_tests);
-}
-
-// Tasks left by earlier launches.
-template <class Bodies>
-__global__ void __launch_bounds__(kBlockThreads, kDescentBlocks)
-    descend_further(Pairs<Bodies> pairs, int launch, TaskHandover rest, LeafPairList leaves, Counter* node_tests) {
-  wait_for_previous_kernels();
-  rest.prepare_next();
-  const TaskList from = rest.from;
-  const int shared_rounds = shared_rounds_of(from.size());
-  const WorkQueue queue{rest.taken, from.size() << (Route::kSlotBits * shared_rounds), kNoItem};
-  const auto task_at = [from](uint32_t at) { return from.items[at]; };
-  descend(pairs, launch, queue, task_at, shared_rounds, leaves, rest.to, node_tests);
 }
 
 }  // namespace pgccd

@@ -14,8 +14,8 @@ struct PlacedPairs {
   SweepOf<Bodies>* sweeps;
   LocalPose* poses;
   uint32_t* pose_begin;
-  SplitPair* roots;  // none where the roots stay apart, or have no children: such pairs of leaves are listed at once
-  LeafPairList leaves;
+  TaskList roots;       // of pairs whose roots may meet and have children
+  LeafPairList leaves;  // roots without children
   SelfPairs self_pairs;
 };
 
@@ -26,25 +26,32 @@ union StagedRows {
   uint4 poses[kWarp][kPosesAtHand * kWordsOf<LocalPose> + 1];
 };
 
-// Stores consecutive rows of one structure each, neighbouring threads neighbouring words: stores of whole rows by
-// single threads take twice as long.
+// Stores the rows of the lanes in `lanes`, consecutive ones of one structure each, neighbouring threads neighbouring
+// words: stores of whole rows by single threads take twice as long.
 template <int kWords, class T>
-__device__ void store_rows(const uint4 (&staged)[kWarp][kWords], int rows, T* target) {
+__device__ void store_rows(const uint4 (&staged)[kWarp][kWords], uint32_t lanes, T* target) {
   constexpr int kStored = kWords - 1;
   __syncwarp();
   auto* words = reinterpret_cast<uint4*>(target);
-  for (int k = threadIdx.x % kWarp; k < rows * kStored; k += kWarp) words[k] = staged[k / kStored][k % kStored];
+  for (int k = threadIdx.x % kWarp; k < kWarp * kStored; k += kWarp) {
+    if (lanes >> (k / kStored) & 1u) words[k] = staged[k / kStored][k % kStored];
+  }
   __syncwarp();  // before the memory is written again
 }
 
-// One thread per pair. How many poses a pair needs depends on how far its bodies turn.
+// One thread per pair. How many poses a pair needs depends on how far its bodies turn. Pairs whose roots stay apart,
+// half of them, leave nothing behind.
 template <class Bodies>
 __global__ void __launch_bounds__(kBlockThreads)
     place_pairs(Pairs<Bodies> pairs, TraverseInput input, PlacedPairs<Bodies> out, TraverseCounters* counters) {
   wait_for_previous_kernels();
   using Sweep = SweepOf<Bodies>;
   __shared__ StagedRows<Sweep> all_staged[kWarpsPerBlock];
+  __shared__ WarpBuffer<Task> buffers[kWarpsPerBlock];
   StagedRows<Sweep>& staged = all_staged[threadIdx.x / kWarp];
+  WarpBuffer<Task>& buffer = buffers[threadIdx.x / kWarp];
+  const auto put_root = [&](Counter at, const Task& task) { out.roots.put(at, task); };
+  int waiting = 0;
   const Bodies& bodies = pairs.bodies;
   const int lane = threadIdx.x % kWarp;
   const int64_t count = pairs.given(), stride = int64_t{gridDim.x} * blockDim.x;
@@ -60,37 +67,43 @@ __global__ void __launch_bounds__(kBlockThreads)
       continue;
     }
     const Sweep sweep(bodies, i, j, input.settings, horizon_of(input, pair));
-    put_words(sweep, staged.sweeps[lane]);
-    store_rows(staged.sweeps, rows, out.sweeps + first);
     PGCCD_KEEP_LOOP
     for (int k = 0; k < kPosesAtHand; ++k) {
       put_words(sweep.pose(bodies, k), staged.poses[lane] + k * kWordsOf<LocalPose>);
     }
-    store_rows(staged.poses, rows, out.poses + kPosesAtHand * first);
-    if (lane >= rows) continue;
-    uint32_t begin = static_cast<uint32_t>(kPosesAtHand * pair);
-    const LocalPose* poses = out.poses + begin;
-    if (sweep.segment_count >= kPosesAtHand) {
-      const Counter place = warp_append(&counters->poses, static_cast<uint32_t>(sweep.segment_count) + 1u);
-      // Clamp to valid rows; the overflow flag discards the result.
-      const bool has_rows = has_place(place + sweep.segment_count, pairs.pose_capacity);
-      begin = own_poses + (has_rows ? static_cast<uint32_t>(place) : 0u);
-      for (int k = 0; k <= sweep.segment_count; ++k) store_words(sweep.pose(bodies, k), out.poses[begin + k]);
-      poses = out.poses + begin;
-    }
-    out.pose_begin[pair] = begin;
     const auto row = static_cast<int32_t>(pair);
-    out.self_pairs.add_if_one_body(bodies, sweep, row);
-    SplitPair root = SplitPair::none();
-    if (!sweep.is_one_body()) {
-      const PairTree<Bodies> tree(bodies, sweep, poses);
-      const NodePair nodes{0, 0};
-      const bool meet = roots_may_meet(tree), is_leaf_pair = tree.is_leaf_pair(nodes);
-      if (meet && is_leaf_pair) out.leaves.put(warp_append(out.leaves.count, 1), {row, nodes});
-      if (meet && !is_leaf_pair) root = tree.split(nodes);
+    uint32_t begin = static_cast<uint32_t>(kPosesAtHand * pair);
+    const auto* poses = reinterpret_cast<const LocalPose*>(staged.poses[lane]);
+    bool is_needed = false, has_task = false;
+    Task task{row, SplitPair::none()};
+    if (lane < rows) {
+      if (sweep.segment_count >= kPosesAtHand) {
+        const Counter place = warp_append(&counters->poses, static_cast<uint32_t>(sweep.segment_count) + 1u);
+        // Clamp to valid rows; the overflow flag discards the result.
+        const bool has_rows = has_place(place + sweep.segment_count, pairs.pose_capacity);
+        begin = own_poses + (has_rows ? static_cast<uint32_t>(place) : 0u);
+        for (int k = 0; k <= sweep.segment_count; ++k) store_words(sweep.pose(bodies, k), out.poses[begin + k]);
+        poses = out.poses + begin;
+      }
+      out.self_pairs.add_if_one_body(bodies, sweep, row);
+      is_needed = sweep.is_one_body();
+      if (!is_needed) {
+        const PairTree<Bodies> tree(bodies, sweep, poses);
+        const NodePair nodes{0, 0};
+        is_needed = roots_may_meet(tree);
+        has_task = is_needed && !tree.is_leaf_pair(nodes);
+        if (is_needed && !has_task) out.leaves.put(warp_append(out.leaves.count), {row, nodes});
+        if (has_task) task.split = tree.split(nodes);
+      }
+      if (is_needed) out.pose_begin[pair] = begin;
     }
-    out.roots[pair] = root;
+    const uint32_t needed = __ballot_sync(kAllLanes, is_needed);
+    store_rows(staged.poses, needed, out.poses + kPosesAtHand * first);
+    put_words(sweep, staged.sweeps[lane]);
+    store_rows(staged.sweeps, needed, out.sweeps + first);
+    waiting = buffer.add(waiting, __ballot_sync(kAllLanes, has_task), task, lane, out.roots.count, put_root);
   }
+  buffer.flush(waiting, lane, out.roots.count, put_root);
 }
 
 }  // namespace pgccd

@@ -67,11 +67,11 @@ __global__ void __launch_bounds__(kBlockThreads)
       }
       const NodePair nodes = siblings.child(other);
       const bool is_leaf = meets && tree.is_leaf_pair(nodes);
-      if (is_leaf) leaves.put(warp_append(leaves.count, 1), {pair, nodes});
-      if (meets && !is_leaf) rest.put(warp_append(rest.count, 1), {pair, tree.split(nodes)});
+      if (is_leaf) leaves.put(warp_append(leaves.count), {pair, nodes});
+      if (meets && !is_leaf) rest.put(warp_append(rest.count), {pair, tree.split(nodes)});
     }
     const int32_t node = block * kBlockWidth + lane;
-    if (lane < kBlockWidth && tree.is_leaf(0, node)) leaves.put(warp_append(leaves.count, 1), {pair, {node, node}});
+    if (lane < kBlockWidth && tree.is_leaf(0, node)) leaves.put(warp_append(leaves.count), {pair, {node, node}});
     ++visited;
   }
   if (lane == 0 && visited > 0) atomicAdd(node_tests, static_cast<Counter>(visited) * kPairsInBlock);

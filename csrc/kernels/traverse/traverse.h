@@ -33,6 +33,7 @@ struct TraverseCapacity {
   int64_t leaf_pairs;
   int64_t candidates;
   int64_t launches;  // after the first
+  bool crowded;      // a body pair may have very many candidates: see SearchFirstPart
 };
 
 // Counts of a traversal: the capacity needed (as far as it ran), and the numbers of node pairs left after the last
@@ -44,6 +45,7 @@ enum TraverseCount : int {
   kCandidatesNeeded,
   kTasksLeft,
   kNodeTests,
+  kCrowded,           // 1 if fewer candidates may do in a crowded search, else 0
   kTraverseOverflow,  // 1 if a capacity was exceeded or tasks are left, else 0
   kTraverseBegan,
   kTraverseEnded,
@@ -88,14 +90,16 @@ template <class Bodies>
 CandidateList visit_leaf_pairs(const Executor& executor, const Bodies& bodies, const TraverseInput& input,
                                const std::vector<LeafPair>& leaves);
 
-// Searches a first part of the candidates. Returns the bits of the earliest toi found of each pair, all ones for none
-// (device, pair_count).
-using SearchFirstPart = std::function<const unsigned long long*(const CandidateSpan& candidates)>;
+// Searches a first part of the candidates: of the leaf pairs that may meet first in their body pair. In a crowded
+// search, of body pairs with more than kFirstLeaves such leaf pairs, of about as many: bodies that rest against each
+// other have thousands, and candidates of a few of them find a contact at t = 0 that leaves little to search.
+using SearchFirstPart = std::function<FirstPart(const CandidateSpan& candidates)>;
+constexpr uint32_t kFirstLeaves = 64;
 
 // As traverse, for the first *pair_count (device) of input.pair_count rows, without synchronising. The candidates live
-// as long as the context's memory. With `search`, only the first contact of each pair is wanted: candidates of the
-// leaves that may meet first are searched before others are listed, and of the rest only those that may touch until the
-// contact found are returned.
+// as long as the context's memory. With `search`, only one contact of each pair is wanted: of many pairs, or if
+// crowded, a first part of the candidates is searched before others are listed, and of the rest only those are returned
+// that may come before the contacts found.
 template <class Bodies>
 CandidateSpan traverse_padded(const DeviceContext& context, const Bodies& bodies, const TraverseInput& input,
                               const int64_t* pair_count, const TraverseCapacity& capacity, int64_t* counts,

@@ -28,6 +28,9 @@ unsigned blocks_in_waves(const DeviceContext& context, Kernel kernel, int64_t mo
   return static_cast<unsigned>(resident * smaller<int64_t>(waves, context.share == 1 ? kWaves : 1));
 }
 
+// With fewer body pairs, two parts take longer than one: every launch has a minimum duration.
+constexpr int64_t kManyPairs = 1 << 18;
+
 // Enough for the standard scene, see Traversal::enqueue.
 constexpr int64_t kLaunches = 4;
 
@@ -89,44 +92,52 @@ struct Traversal {
 
   // Does not synchronise; overflow is counted. `launches`: after the first one; each continues tasks that warps have
   // returned, whose number grows by two orders of magnitude per launch, until the device is full.
-  CandidateSink enqueue(const TraverseListSizes& capacity, int64_t launches, const SearchFirstPart& search) {
+  // `search`: null if all candidates are listed at once.
+  CandidateSink enqueue(const TraverseListSizes& capacity, int64_t launches, const SearchFirstPart& search,
+                        bool crowded) {
     CandidateSink out;
     const LeafPairList leaves = start(capacity, out);
-    descend_roots(leaves);
-    for (int launch = 1; launch <= launches; ++launch) {
-      descend_rest(launch, launch == launches ? kLastLaunch : launch, leaves);
-    }
+    for (int launch = 0; launch <= launches; ++launch) descend_once(launch, launch == launches, leaves);
     if (search) {
-      visit_in_order(leaves, out, search);
+      visit_in_order(leaves, out, search, crowded);
     } else {
-      const LeafPairList meeting = cull(leaves, new_list(&counters_->meeting_leaves, leaves), {});
+      const LeafPairList meeting = cull(leaves, new_list(&counters_->meeting_leaves, leaves), nullptr, {});
       visit_at_start(meeting, out);
       visit(meeting, out);
     }
     return out;
   }
 
-  // First the leaf pairs that begin first in their body pair; then those of the others that may meet before the contact
+  // First leaf pairs that begin first in their body pair; then those of the others that may meet before the contact
   // found in these.
-  void visit_in_order(LeafPairList leaves, CandidateSink out, const SearchFirstPart& search) {
-    uint32_t* earliest = context_.allocate<uint32_t>(input_.pair_count);
-    fill_bytes(context_, earliest, 0xff, input_.pair_count);
-    const LeafPairList meeting =
-        cull(leaves, new_list(&counters_->meeting_leaves, leaves), PairTimes{earliest, nullptr});
+  void visit_in_order(LeafPairList leaves, CandidateSink out, const SearchFirstPart& search, bool crowded) {
+    const int64_t pair_count = input_.pair_count;
+    uint32_t *earliest = context_.allocate<uint32_t>(pair_count), *counts = nullptr;
+    fill_bytes(context_, earliest, 0xff, pair_count);
+    const LeafPairList meeting = cull(leaves, new_list(&counters_->meeting_leaves, leaves), earliest, {});
     const LeafPairList first{leaves.items, &counters_->first_leaves, leaves.capacity};  // in memory no longer needed
     const LeafPairList later = new_list(&counters_->later_leaves, leaves);
-    split_by_begin(context_, meeting, earliest, first, later);
+    if (crowded) {
+      counts = context_.allocate<uint32_t>(pair_count);
+      fill_bytes(context_, counts, 0, pair_count);
+      count_first_leaves(context_, meeting, earliest, counts);
+    }
+    launch_kernel(context_, split_by_begin, resident_blocks_of(context_, split_by_begin), kBlockThreads, meeting,
+                  earliest, counts, first, later);
     visit_at_start(first, out);
     visit(first, out);
     TraverseCounters* counters = counters_;
     for_each_item(context_, 1, [=] __device__(int64_t) { counters->search_time = -nanoseconds(); });
-    const unsigned long long* toi = search(span(out, &counters_->no_candidates));
+    const FirstPart found = search(span(out, &counters_->no_candidates));
     for_each_item(context_, 1, [=] __device__(int64_t) {
       counters->search_time += nanoseconds();
       counters->searched_candidates = counters->candidates;
     });
-    shorten(toi);
-    visit(cull(later, {meeting.items, &counters_->remaining_leaves, leaves.capacity}, PairTimes{nullptr, toi}), out);
+    shorten(found.toi);
+    const LeafPairList remaining =
+        cull(later, {meeting.items, &counters_->remaining_leaves, leaves.capacity}, nullptr, found);
+    if (crowded) visit_at_start(remaining, out);  // otherwise all of them begin later than at the start
+    visit(remaining, out);
   }
 
   CandidateSpan span(CandidateSink out, const CandidateCounts* before) {
@@ -141,10 +152,10 @@ struct Traversal {
   TraverseCounters run(CandidateSink& out) {
     TraverseListSizes capacity = guess_sizes(input_, deforming_vertices(bodies_));
     for (int64_t launches = kLaunches;; launches *= 2) {
-      out = enqueue(capacity, launches, nullptr);
+      out = enqueue(capacity, launches, nullptr, false);
       TraverseCounters seen = read(context_, counters_);
       if (seen.unsound != 0) throw std::runtime_error(kUnsoundPairs);
-      const Counter left = seen.rest[launches % 3];
+      const Counter left = seen.rest[rest_after(launches)];
       seen.most_rest = larger(seen.most_rest, left);
       if (capacity.holds(seen) && left == 0) return seen;
       if (!capacity.can_grow(seen)) throw std::runtime_error(kTooMuchForOneCall);
@@ -155,23 +166,26 @@ struct Traversal {
   CandidateSpan run_padded(const TraverseCapacity& given, int64_t* counts, const SearchFirstPart& search) {
     const TraverseListSizes capacity{rows_of(larger<int64_t>(given.poses, kMaxSegments + 1)), rows_of(given.tasks),
                                      rows_of(given.leaf_pairs), rows_of(given.candidates)};
-    const CandidateSink out = enqueue(capacity, given.launches, search);
+    const bool in_parts = search && (given.crowded || input_.pair_count >= kManyPairs);
+    const bool may_be_crowded = search && !given.crowded;
+    const CandidateSink out = enqueue(capacity, given.launches, in_parts ? search : nullptr, given.crowded);
     const TraverseCounters* seen = counters_;
-    const int last = static_cast<int>(given.launches % 3);
+    const int last = rest_after(given.launches);
     for_each_item(context_, 1, [=] __device__(int64_t) {
       store_traverse_counts(*seen, capacity, last, counts);
+      counts[kCrowded] = may_be_crowded && !fits(seen->candidates.sum(), capacity.candidates) ? 1 : 0;
       counts[kTraverseEnded] = nanoseconds() - seen->search_time;
     });
-    return span(out, search ? &counters_->searched_candidates : &counters_->no_candidates);
+    return span(out, in_parts ? &counters_->searched_candidates : &counters_->no_candidates);
   }
 
   LeafPairList start(const TraverseListSizes& capacity, CandidateSink& out) {
     fill_bytes(context_, counters_, 0, 1);
     out = {context_.allocate<Candidate>(capacity.candidates), &counters_->candidates, capacity.candidates};
     const LeafPairList leaves{context_.allocate<LeafPair>(capacity.leaves), &counters_->leaves, capacity.leaves};
-    start_pairs(capacity.poses, leaves);
     task_capacity_ = capacity.tasks;
     for (Task*& tasks : tasks_) tasks = context_.allocate<Task>(capacity.tasks);
+    start_pairs(capacity.poses, leaves);
     return leaves;
   }
 
@@ -179,12 +193,16 @@ struct Traversal {
     LocalPose* poses = context_.allocate<LocalPose>(kPosesAtHand * input_.pair_count + pose_capacity);
     pairs_.poses = poses;
     pairs_.pose_capacity = pose_capacity;
-    roots_ = context_.allocate<SplitPair>(input_.pair_count);
-    const PlacedPairs<Bodies> placed{sweeps_, poses, pose_begin_, roots_, leaves, self_pairs_};
+    const TaskList roots = tasks_before(0);
+    const PlacedPairs<Bodies> placed{sweeps_, poses, pose_begin_, roots, leaves, self_pairs_};
     const int64_t blocks = (input_.pair_count + kBlockThreads - 1) / kBlockThreads;
     launch_kernel(context_, place_pairs<Bodies>,
                   static_cast<unsigned>(smaller<int64_t>(blocks, resident_blocks_of(context_, place_pairs<Bodies>))),
                   kBlockThreads, pairs_, input_, placed, counters_);
+    if constexpr (Sweep::may_be_one_body) {
+      launch_kernel(context_, start_self_pairs<Bodies>, resident_blocks_of(context_, start_self_pairs<Bodies>),
+                    kBlockThreads, pairs_, self_pairs_, leaves, roots, &counters_->node_tests);
+    }
   }
 
   // Sweeps and poses of the pairs of which a contact was found, until its toi. The descent, which has ended, is the
@@ -210,32 +228,29 @@ struct Traversal {
                   shorten_pair);
   }
 
-  // Tasks left over by the launch.
-  TaskList rest_of(int launch) { return {tasks_[launch % 2], &counters_->rest[launch % 3], task_capacity_}; }
+  // Tasks of a launch of the descent: of the first the roots, of others what the launch before left over.
+  TaskList tasks_before(int launch) { return {tasks_[launch % 2], &counters_->rest[launch % 3], task_capacity_}; }
 
-  void descend_roots(LeafPairList leaves) {
-    const TaskList rest = rest_of(0);
-    launch_kernel(context_, descend_from_roots<Bodies>,
-                  blocks_in_waves(context_, descend_from_roots<Bodies>, kBlockWidth * input_.pair_count), kBlockThreads,
-                  pairs_, roots_, &counters_->taken[0], leaves, rest, &counters_->node_tests);
-    if constexpr (Sweep::may_be_one_body) {
-      launch_kernel(context_, start_self_pairs<Bodies>, resident_blocks_of(context_, start_self_pairs<Bodies>),
-                    kBlockThreads, pairs_, self_pairs_, leaves, rest, &counters_->node_tests);
-    }
+  // The index in `rest` of what the last launch leaves over.
+  static int rest_after(int64_t last_launch) { return static_cast<int>((last_launch + 1) % 3); }
+
+  void descend_once(int launch, bool is_last, LeafPairList leaves) {
+    const int next = (launch + 2) % 3;
+    const TaskHandover tasks{tasks_before(launch),
+                             tasks_before(launch + 1),
+                             &counters_->taken[launch % 3],
+                             &counters_->rest[next],
+                             &counters_->taken[(launch + 1) % 3],
+                             &counters_->most_rest};
+    const unsigned blocks = launch == 0 ? blocks_in_waves(context_, descend<Bodies>, kBlockWidth * input_.pair_count)
+                                        : resident_blocks_of(context_, descend<Bodies>);
+    launch_kernel(context_, descend<Bodies>, blocks, kBlockThreads, pairs_, is_last ? kLastLaunch : launch, tasks,
+                  leaves, &counters_->node_tests);
   }
 
-  // `kind`: the launch, or kLastLaunch.
-  void descend_rest(int launch, int kind, LeafPairList leaves) {
-    const int next = (launch + 1) % 3;
-    const TaskHandover rest{rest_of(launch - 1),    rest_of(launch),         &counters_->taken[launch % 3],
-                            &counters_->rest[next], &counters_->taken[next], &counters_->most_rest};
-    launch_kernel(context_, descend_further<Bodies>, resident_blocks_of(context_, descend_further<Bodies>),
-                  kBlockThreads, pairs_, kind, rest, leaves, &counters_->node_tests);
-  }
-
-  LeafPairList cull(LeafPairList leaves, LeafPairList meeting, PairTimes times) {
+  LeafPairList cull(LeafPairList leaves, LeafPairList meeting, EarliestBegins earliest, const FirstPart& found) {
     launch_kernel(context_, cull_leaves<Bodies>, blocks_in_waves(context_, cull_leaves<Bodies>, leaves.capacity),
-                  kBlockThreads, pairs_, leaves, meeting, times);
+                  kBlockThreads, pairs_, leaves, meeting, earliest, found);
     return meeting;
   }
 
@@ -261,7 +276,6 @@ struct Traversal {
   uint32_t* pose_begin_;
   Pairs<Bodies> pairs_;
   SelfPairs self_pairs_;
-  SplitPair* roots_ = nullptr;
   Task* tasks_[2] = {};
   uint32_t task_capacity_ = 0;
 };

@@ -138,7 +138,7 @@ class StartVisitor {
       if (crossing_apart(corner_of, bit, distance(i), false)) continue;
       emit_crossing(ti, tj, bit, is_one_body(i), [&](FeatureKind kind, int32_t feature_i, int32_t feature_j) {
         const Candidate candidate{shared_.pair[of_warp], static_cast<int32_t>(kind), feature_i, feature_j};
-        out_.put(false, warp_append(&out_.counts->back, 1), candidate);
+        out_.put(false, warp_append(&out_.counts->back), candidate);
       });
     }
   }

@@ -223,7 +223,7 @@ class _WorldGraph(TransactionGraph[_Committed]):
         self._decomposition, self._sizes = decomposition, sizes
 
     def _step(self) -> Tensor:
-        """(ranks, 4 + 21 * passes) int64: failure flag; numbers of own bodies, ghosts, and leaving bodies; counts."""
+        """(ranks, 4 + 22 * passes) int64: failure flag; numbers of own bodies, ghosts, and leaving bodies; counts."""
         world, columns = self._world, self.columns
         comm, id = world.comm, columns["id"]
         bodies = _bodies(columns, self._index)
