@@ -171,7 +171,9 @@ def write_pictures(run: Run, folder: Path) -> dict[str, Path]:
         caption.append(f"{record['stopped']:,} robots stopped")
         caption.append(f"{1e3 * record['seconds']:,.1f} ms for the step on {run.model.device.type}")
         snapshot = snapshot_of_step(run.model, step, caption)
-        plays = "Plays this step" if len(run.last_steps) == 1 else f"Plays the last {len(run.last_steps)} steps"
+        plays = f"Plays step {step.index}"
+        if len(run.last_steps) > 1:
+            plays = f"Plays steps {run.last_steps[0].index} to {step.index}; the numbers are those of step {step.index}"
         page = page_of_steps(run.model, run.last_steps, [*caption, plays])
     else:
         snapshot = snapshot_of_state(run.model, run.state, caption)

@@ -89,7 +89,8 @@ def test_a_run_is_played_from_its_last_steps(steps: int, tmp_path: Path) -> None
     assert keep == 6 and [step.index for step in run.last_steps] == list(shown)
     page = write_pictures(run, tmp_path)["page"].read_text()
     assert f'"step":{shown[0] if steps else "null"},' in page and f'"playing":{str(steps > 0).lower()}' in page
-    assert ("Plays the last 6 steps" in page) == (steps == 9) and ("Plays this step" in page) == (steps == 1)
+    assert ("Plays steps 3 to 8; the numbers are those of step 8" in page) == (steps == 9)
+    assert ("<p>Plays step 0</p>" in page) == (steps == 1)
 
 
 def test_larger_worlds_play_fewer_steps() -> None:
