@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from pgccd.viz.animation import Animation, Marks, RigidPaths, VertexPaths, thinned_paths
-from pgccd.viz.moment import faint_bodies
+from pgccd.viz.moment import faint_bodies, poses_at
+from pgccd.viz.raster import placed
 from pgccd.viz.simplify import level_within, simplified, stored_bytes
 
 # Bytes before their encoding as text, which adds a third: the page stays below 5 MB.
@@ -203,22 +204,23 @@ def _between_drawn(animation: Animation, marks: Marks, drawn: _Drawn, notes: lis
 
 def _frame(animation: Animation, drawn: _Drawn) -> tuple[np.ndarray, float]:
     """Centre (3,) and half the diagonal of a box around all bodies, world frame."""
-    paths = animation.paths
-    lower, upper = [], []
+    paths, boxes = animation.paths, [np.zeros((0, 3))]
     if isinstance(paths, RigidPaths):
-        reach = np.array([np.linalg.norm(v, axis=1).max(initial=0.0) for v, _ in drawn.meshes])[drawn.mesh_of]
-        position = np.concatenate([paths.start[:, drawn.rows], paths.end[:, drawn.rows]])
-        lower.append((position - reach[:, None]).reshape(-1, 3))
-        upper.append((position + reach[:, None]).reshape(-1, 3))
+        # Of the boxes of meshes at the ends and in the middle of segments.
+        for number, (vertices, _) in enumerate(drawn.meshes):
+            rows = drawn.rows[drawn.mesh_of == number]
+            low, high = (vertices.min(axis=0), vertices.max(axis=0)) if len(vertices) else np.zeros((2, 3))
+            corners = np.stack(np.meshgrid(*np.stack([low, high], axis=1)), axis=-1).reshape(-1, 3)
+            for time in (0.0, 0.5, 1.0):
+                boxes.append(placed(corners, *poses_at(paths, slice(None), time, rows)).reshape(-1, 3))
     else:
-        lower += [vertices.reshape(-1, 3) for vertices, _ in drawn.meshes]
-        upper = lower
+        boxes += [vertices.reshape(-1, 3) for vertices, _ in drawn.meshes]
     if animation.box is not None:
-        lower, upper = [*lower, animation.box], [*upper, animation.box]
-    low, high = np.concatenate(lower), np.concatenate(upper)
-    if len(low) == 0:
+        boxes.append(animation.box)
+    points = np.concatenate(boxes)
+    if len(points) == 0:
         return np.zeros(3), 1.0
-    bottom, top = low.min(axis=0), high.max(axis=0)
+    bottom, top = points.min(axis=0), points.max(axis=0)
     return 0.5 * (bottom + top), float(np.linalg.norm(0.5 * (top - bottom))) or 1.0
 
 

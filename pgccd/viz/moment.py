@@ -23,6 +23,7 @@ COLOURS = np.array(
 _FREE, _STATIC, _COLLIDING, _FIRST, _SECOND, _FAINT = range(6)
 # A body this much larger than one that it touches would fill the picture with the colour of contacts.
 _LARGE = 4.0
+_ALL = slice(None)
 
 
 def faint_bodies(marks: Marks, static: np.ndarray, radius: np.ndarray) -> np.ndarray:
@@ -65,10 +66,13 @@ def colours_at_first(animation: Animation) -> np.ndarray:
     return colours
 
 
-def poses_at(paths: RigidPaths, segment: int, time: float) -> tuple[np.ndarray, np.ndarray]:
-    """Positions (N, 3) and orientations (N, 4) of bodies that move on arcs."""
-    columns = (paths.start, paths.end, paths.orientation, paths.rotation)
-    start, end, turn, rotation = (torch.from_numpy(np.ascontiguousarray(column[segment])) for column in columns)
+def poses_at(
+    paths: RigidPaths, segment: int | slice, time: float, rows: np.ndarray | slice = _ALL
+) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (N, 3) and orientations (N, 4) of bodies that move on arcs; of many segments one after another."""
+    columns = (column[segment][..., rows, :] for column in (paths.start, paths.end, paths.orientation, paths.rotation))
+    flat = (torch.from_numpy(np.ascontiguousarray(column.reshape(-1, column.shape[-1]))) for column in columns)
+    start, end, turn, rotation = flat
     position, orientation = ops.poses_at(start, end, turn, rotation, torch.full_like(start[:, 0], time))
     return position.numpy(), orientation.numpy()
 

@@ -439,6 +439,19 @@ def test_one_world_of_many() -> None:
         assert names.tolist() == hits.pairs[of_world][order].tolist()
 
 
+def test_a_page_is_as_large_as_its_bodies_at_all_times() -> None:
+    # A thin rod, hinged at its end, turns by 180 degrees about z.
+    rod = pgccd.Mesh(0.5 * np.array([[2.0, 0, 0], [2, 0.1, 0], [0, 0, 0.1], [0, 0, 0]]), [[0, 1, 2], [0, 2, 3]])
+    x, q = torch.tensor([[1.0, 1, 1]]).double(), torch.tensor([IDENTITY]).double()
+    spin = torch.tensor([[0.0, 0, np.pi]]).double()
+    data = data_of(viz.Page.of(pgccd.Scene([rod]), pgccd.RigidMotion.from_velocity(x, q, torch.zeros(1, 3), spin, 1.0)))
+    times = [vertices_at(data, 0, t)[0] for t in (0.0, 0.5, 1.0)]
+    seen = np.concatenate(times)
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    assert np.allclose(data["centre"], 0.5 * (low + high), atol=0.03)
+    assert data["scale"] == pytest.approx(0.5 * np.linalg.norm(high - low), rel=0.03)
+
+
 @pytest.mark.parametrize("floor", ["static", "large", "small"])
 def test_floors_keep_their_colour(floor: str) -> None:
     size = 2.0 if floor == "small" else 40.0
