@@ -339,6 +339,19 @@ def test_the_page_of_the_model_plays_until_it_is_touched(open_page: Callable[[vi
     assert tab.inner_text("#play") == "Play" and tab.inner_text("#clock") == "0.700 of step 11"
 
 
+def test_the_page_of_the_model_does_not_play_where_drawing_is_slow(browser: Any, tmp_path: Path) -> None:
+    model = sim.Model(sim.ModelConfig(robots=60, speed=0.25))
+    state = model.start()
+    step = sim.make_step(model, model.scene(state.id), state, 0)
+    tab = browser.new_page(viewport={"width": 1000, "height": 700})
+    tab.add_init_script("{ let now = 0; performance.now = () => now += 300; }")
+    tab.goto(sim.page_of_steps(model, [step]).save(tmp_path / "page.html").as_uri())
+    for _ in range(4):
+        settled(tab)
+    assert tab.inner_text("#play") == "Play" and tab.input_value("#time") == "0"
+    tab.close()
+
+
 def test_a_floor_keeps_its_colour(open_page: Callable[[viz.Page], Any]) -> None:
     plate = pgccd.Mesh.box([20.0, 20.0, 0.1])
     scene = pgccd.Scene([plate, CUBE], static=[True, False])
