@@ -36,11 +36,13 @@ spin = torch.randn(count, 3, dtype=torch.float64).to(device)
 # gap grows at first.
 
 dt = 0.1
-turning = []
+turning, motions, fractions = [], [], []
 for step in range(20):
     motion = pgccd.RigidMotion.from_velocity(position, orientation, velocity, spin, dt)
     resolved = pgccd.resolve(scene, motion)
     position, orientation = resolved.motion.at(1.0)  # where the bodies are after the step
+    motions.append(motion)
+    fractions.append(resolved.fraction)
     stopped = resolved.fraction < 1.0
     sign = torch.where(stopped, -1.0, 1.0)[:, None]
     velocity, spin = sign * velocity, sign * spin
@@ -62,9 +64,11 @@ figure.colorbar(right.collections[0], ax=right)
 plt.show()
 
 # %%
-# The last step on a page: on whole paths bodies would meet; on their shortened paths none does.
+# The last five steps on a page, played one after another: on whole paths bodies would meet; on their shortened paths
+# none does.
 
-pgccd.show(scene, motion, pgccd.detect(scene, motion), fraction=resolved.fraction)
+found = [pgccd.detect(scene, motion) for motion in motions[-5:]]
+pgccd.show(scene, motions[-5:], found, fraction=fractions[-5:])
 
 # %%
 # What the response should be is for your simulation to decide; `pgccd.resolve` only says how far bodies can go. See

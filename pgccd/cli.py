@@ -24,13 +24,13 @@ from pgccd.geometry.origin import Origin
 from pgccd.runtime.memory import is_out_of_memory
 from pgccd.sim.checkpoint import Header, require_checkpoint
 from pgccd.sim.distributed import command
-from pgccd.sim.pictures import write_pictures
+from pgccd.sim.pictures import shown_steps, write_pictures
 from pgccd.sim.progress import Progress, terminal_progress
 from pgccd.sim.run_folder import mesh_files
 from pgccd.sim.summary import summary_lines, totals
 from pgccd.viz import Page
 from pgccd.viz.animation import AnyMotion
-from pgccd.viz.display import open_page, require_writable
+from pgccd.viz.display import is_page, open_page, require_writable
 
 _COMMANDS = ("view", "detect", "simulate", "info")
 
@@ -133,7 +133,7 @@ def _build_parser() -> argparse.ArgumentParser:
         "show meshes, and their paths, in the browser",
         "Writes an interactive page of bodies, on their paths if there is a --motion, without looking for collisions.",
     )
-    where = "HTML page or .glb model to write (a temporary page, opened in the browser)"
+    where = "HTML page, .png picture or .glb model to write (a temporary page, opened in the browser)"
     view.add_argument("--page", type=Path, metavar="FILE", help=where)
     view.set_defaults(run=_view)
 
@@ -143,7 +143,7 @@ def _build_parser() -> argparse.ArgumentParser:
         "Finds the collisions of one step, or along a trajectory.",
     )
     add = detect.add_argument
-    add("--page", type=Path, metavar="FILE", help="write an interactive HTML page of the contacts; or a .glb model")
+    add("--page", type=Path, metavar="FILE", help="write an interactive HTML page of the contacts; or a .png or .glb")
     add("--report", choices=list(REPORTS), default="first", help="which contacts to report (first)")
     add("--min-separation", type=float, default=0.0, metavar="LENGTH", help="distance that counts as touching (0)")
     add("--tolerance", type=float, metavar="LENGTH", help="of a reported contact (1e-6 of the smaller radius)")
@@ -245,9 +245,12 @@ def _run_or_resume(options: argparse.Namespace, device: torch.device, comm: dist
     go_on: Callable[..., sim.Run] = sim.resume
     if comm.size > 1:
         spread: dict[str, Any] = {"options": command.distributed_options(options)}
-        spread["keep_last_step"] = not options.no_pictures
         begin = functools.partial(sim.distributed.run, comm, **spread)
         go_on = functools.partial(sim.distributed.resume, comm, **spread)
+
+    def kept(config: sim.ModelConfig) -> int:
+        return 0 if options.no_pictures else shown_steps(config)
+
     given = {"robots": options.robots, "pattern": options.world, "seed": options.seed}
     given = {name: value for name, value in given.items() if value is not None}
     try:
@@ -258,6 +261,7 @@ def _run_or_resume(options: argparse.Namespace, device: torch.device, comm: dist
             files = options.mesh or on_first(comm, lambda: mesh_files(folder))
             meshes = together(comm, lambda: _load_meshes(files, "--mesh", "centroid"))
             with _progress(comm, options, header.steps_made, options.steps or header.steps_wanted) as progress:
+                settings["keep_steps"] = kept(header.config)
                 return go_on(folder, options.steps, meshes=meshes, progress=progress, **settings), folder
     except (ValueError, OSError) as error:
         raise ArgumentError("--resume", error) from error
@@ -269,7 +273,7 @@ def _run_or_resume(options: argparse.Namespace, device: torch.device, comm: dist
     meshes = together(comm, lambda: _load_meshes(options.mesh, "--mesh", "centroid"))
     steps = 20 if options.steps is None else options.steps
     notes = {"mesh_files": [str(Path(name).resolve()) for name in options.mesh or []]}
-    settings |= {"notes": notes, "overwrite": options.overwrite}
+    settings |= {"notes": notes, "overwrite": options.overwrite, "keep_steps": kept(config)}
     try:
         with _progress(comm, options, 0, steps) as progress:
             return begin(config, steps, out, meshes=meshes, progress=progress, **settings), out
@@ -354,7 +358,7 @@ def _write_page(
 ) -> Path:
     """Writes the page that the options ask for; returns its path."""
     try:
-        if options.page is not None and options.page.suffix.lower() == ".glb":
+        if options.page is not None and not is_page(options.page):
             return pgccd.show(scene, motion, hits, options.page)
         page = Page.of(scene, motion, hits)
         if not options.quiet:

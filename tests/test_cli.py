@@ -158,6 +158,9 @@ def test_pages(tmp_path: Path, meshes: list[str], poses: str, capsys: pytest.Cap
     assert "<h1>2 bodies, 1 contact</h1>" in Path(page).read_text()
     assert main(["detect", *meshes, "--motion", poses, "--page", model, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["page"] == model and Path(model).read_bytes()[:4] == b"glTF"
+    picture = str(tmp_path / "picture.png")
+    assert main(["detect", *meshes, "--motion", poses, "--page", picture, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["page"] == picture and Path(picture).read_bytes()[1:4] == b"PNG"
     assert main(["view", *meshes, "--page", page, "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {"page": page, "bodies": 2}
     assert "<h1>2 bodies</h1>" in Path(page).read_text() and '"moving":false' in Path(page).read_text()

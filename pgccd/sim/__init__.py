@@ -14,7 +14,7 @@ from pgccd.sim.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from pgccd.sim.hashing import contacts_hash, state_hash
 from pgccd.sim.log import LOG_FILE, read_log
 from pgccd.sim.model import PATTERNS, Model, ModelConfig, RobotState
-from pgccd.sim.pictures import snapshot_of_state, snapshot_of_step
+from pgccd.sim.pictures import page_of_steps, snapshot_of_state, snapshot_of_step
 from pgccd.sim.replay import StepMaker
 from pgccd.sim.response import respond
 from pgccd.sim.robot import robot_mesh
@@ -41,6 +41,7 @@ __all__ = [
     "distributed",
     "load_checkpoint",
     "make_step",
+    "page_of_steps",
     "read_log",
     "respond",
     "resume",

@@ -8,17 +8,27 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from pgccd.detection.narrow import Kind, Status
+from pgccd.detection.narrow import Kind
 from pgccd.geometry.mesh import Mesh
 from pgccd.motion.paths import RigidMotion
-from pgccd.sim.model import Model, RobotState
+from pgccd.sim.model import Model, ModelConfig, RobotState
 from pgccd.sim.runner import Run
 from pgccd.sim.step import Step
-from pgccd.viz import Impact, Marks, Motion, Page, Snapshot, world_picture
+from pgccd.viz import Impact, Page, Snapshot, world_picture
+from pgccd.viz.animation import Animation, animation_of
 from pgccd.viz.raster import placed
 
 # The features of two touching bodies.
 _SHAPES = {Kind.VF_AB: ("vertex", "face"), Kind.VF_BA: ("face", "vertex"), Kind.EE: ("edge", "edge")}
+
+
+# A page plays this many steps, if that takes no more poses than fit on it with most robots.
+_MOST_SHOWN, _POSES_SHOWN = 6, 60_000
+
+
+def shown_steps(config: ModelConfig) -> int:
+    """Number of last steps that the page of a run plays."""
+    return min(_MOST_SHOWN, max(1, _POSES_SHOWN // config.robots))
 
 
 def snapshot_of_state(model: Model, state: RobotState, caption: Sequence[str] = ()) -> Snapshot:
@@ -51,21 +61,46 @@ def snapshot_of_step(model: Model, step: Step, caption: Sequence[str] = ()) -> S
         caption: a title, then statistics.
 
     Example:
-        >>> page = pgccd.viz.Page.of_snapshot(pgccd.sim.snapshot_of_step(model, step))
+        >>> snapshot = pgccd.sim.snapshot_of_step(model, step)
     """
     snapshot = snapshot_of_state(model, step.after, caption)
     snapshot.colliding = step.resolution.stopped.cpu().numpy()
-    before, contacts = step.before, step.contacts
-    columns = [before.position, before.orientation, before.velocity, before.angular_velocity]
-    columns.append(step.resolution.fraction)
-    segment = torch.zeros_like(contacts.pairs[:, 0])
-    marks = [contacts.pairs, segment, step.toi, contacts.point, contacts.normal, contacts.kind, contacts.features]
-    marks.append(contacts.status == Status.UNRESOLVED)
-    position, orientation, velocity, spin, fraction = (column.cpu().numpy() for column in columns)
-    found = Marks(*(column.cpu().numpy() for column in marks))
-    snapshot.motion = Motion(position, orientation, velocity, spin, fraction, found)
     snapshot.impact = _impact(model, step)
     return snapshot
+
+
+def page_of_steps(model: Model, steps: Sequence[Step], caption: Sequence[str] = ()) -> Page:
+    """A page that plays consecutive steps: the robots on the paths that they moved, those that stopped in each step,
+    and its contacts.
+
+    Args:
+        model: the rules.
+        steps: of the same robots.
+        caption: a title, then statistics.
+
+    Raises:
+        ValueError: there is no step.
+
+    Example:
+        >>> pgccd.sim.page_of_steps(model, [step]).save("model.html")
+        PosixPath('model.html')
+    """
+    if not steps:
+        raise ValueError("steps: expected at least one step")
+    motions = [model.motion(step.before) for step in steps]
+    fractions = [step.resolution.fraction for step in steps]
+    animation = animation_of(model.scene(steps[0].before.id), motions, [step.contacts for step in steps], fractions)
+    # In later rounds robots stop that meet nobody on whole paths.
+    animation.hit = np.stack([step.resolution.stopped.cpu().numpy() for step in steps])
+    return _page(model, steps[0].before, animation, steps[0].index, caption)
+
+
+def _page(model: Model, state: RobotState, animation: Animation, step: int | None, caption: Sequence[str]) -> Page:
+    """The page of an animation of these robots, from this step on."""
+    half = np.array(model.half_extent)
+    animation.ids, animation.box, animation.first_step = state.id.cpu().numpy(), np.stack([-half, half]), step
+    animation.title, *animation.notes = caption or ["Nanorobot world"]
+    return Page(animation, playing=step is not None)
 
 
 def _impact(model: Model, step: Step) -> Impact | None:
@@ -115,7 +150,7 @@ def _point_on(mesh: Mesh, shape: str, index: int, at: np.ndarray) -> np.ndarray:
 
 
 def write_pictures(run: Run, folder: Path) -> dict[str, Path]:
-    """Writes `world.html` and `world.png` of a run's last step.
+    """Writes `world.html` of a run's last steps, and `world.png` of the last one.
 
     Returns:
         Their paths, by "page" and "picture".
@@ -128,16 +163,23 @@ def write_pictures(run: Run, folder: Path) -> dict[str, Path]:
     caption = [f"{world}, after step {run.steps_made}"]
     if run.one_in > 1:
         caption.append(f"one in {run.one_in} robots is shown, and those that collide with them")
-    if run.last_step is None:
-        snapshot = snapshot_of_state(run.model, run.state, caption)
-    else:
-        record = run.last_step.record
+    if run.last_steps:
+        step = run.last_steps[-1]
+        record = step.record
         caption.append(f"{record['pcs']:,} potentially colliding pairs")
         caption.append(f"{record['contacts']:,} contacts, each with its time of impact")
         caption.append(f"{record['stopped']:,} robots stopped")
         caption.append(f"{1e3 * record['seconds']:,.1f} ms for the step on {run.model.device.type}")
-        snapshot = snapshot_of_step(run.model, run.last_step, caption)
-    page, picture = folder / "world.html", folder / "world.png"
-    for path in (page, picture):
+        snapshot = snapshot_of_step(run.model, step, caption)
+        plays = f"Plays step {step.index}"
+        if len(run.last_steps) > 1:
+            plays = f"Plays steps {run.last_steps[0].index} to {step.index}; the numbers are those of step {step.index}"
+        page = page_of_steps(run.model, run.last_steps, [*caption, plays])
+    else:
+        snapshot = snapshot_of_state(run.model, run.state, caption)
+        at_rest = RigidMotion.at_rest(run.state.position, run.state.orientation)
+        page = _page(run.model, run.state, animation_of(run.model.scene(run.state.id), at_rest), None, caption)
+    page_file, picture = folder / "world.html", folder / "world.png"
+    for path in (page_file, picture):
         path.unlink(missing_ok=True)  # links are not followed
-    return {"page": Page.of_snapshot(snapshot).save(page), "picture": world_picture(picture, snapshot)}
+    return {"page": page.save(page_file), "picture": world_picture(picture, snapshot)}

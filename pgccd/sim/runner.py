@@ -9,7 +9,7 @@ from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import Any, Protocol
+from typing import Any, Generic, Protocol, TypeVar
 
 import torch
 
@@ -35,7 +35,7 @@ class Run:
         state: the robots after the last step.
         steps_made: number of steps, those before a resumption included.
         records: the lines of steps.jsonl, from step 0.
-        last_step: None if the last step was a replay, or no step was made in this process.
+        last_steps: the last steps, as many as were to be kept and were made in this process, oldest first.
         interrupted: whether a signal ended the run; a checkpoint was written.
         one_in: `state` has one in this many robots; above 1 for very large worlds on many ranks.
     """
@@ -44,7 +44,7 @@ class Run:
     state: RobotState
     steps_made: int
     records: list[dict[str, Any]]
-    last_step: Step | None
+    last_steps: list[Step]
     interrupted: bool
     one_in: int = 1
 
@@ -59,6 +59,7 @@ def run(
     broad_phase: BroadPhase = "auto",
     checkpoint_every: int = 0,
     progress: Progress | None = None,
+    keep_steps: int = 1,
     graph: bool | None = None,
     overwrite: bool = False,
     notes: Mapping[str, Any] | None = None,
@@ -77,6 +78,7 @@ def run(
         broad_phase: as for `detect`.
         checkpoint_every: steps between checkpoints; 0: one at the end only.
         progress: notified after every step.
+        keep_steps: number of last steps that are kept with their details, for pictures. On a GPU they are not replayed.
         graph: whether steps are replays of one CUDA graph. Default: on a GPU. The result does not depend on it.
         overwrite: whether to replace an earlier run in the folder.
         notes: additional plain values for `world.json`.
@@ -94,7 +96,7 @@ def run(
     model = Model(config, meshes, device)
     with hold(folder):
         begin(folder, model.describe() | dict(notes or {}), overwrite)
-        machine = _OneProcess(model, model.start(), folder, broad_phase, graph)
+        machine = _OneProcess(model, model.start(), folder, broad_phase, graph, LastSteps(steps, keep_steps, Step))
         return _finish(machine, 0, steps, folder, checkpoint_every, progress)
 
 
@@ -107,6 +109,7 @@ def resume(
     broad_phase: BroadPhase = "auto",
     checkpoint_every: int = 0,
     progress: Progress | None = None,
+    keep_steps: int = 1,
     graph: bool | None = None,
 ) -> Run:
     """Continues a run from its checkpoint, with the same result as without interruption.
@@ -115,7 +118,7 @@ def resume(
         folder: of the run.
         steps: total number of steps; default: that of the run.
         meshes: of the run; default `robot_mesh()`.
-        device, broad_phase, checkpoint_every, progress, graph: as for `run`.
+        device, broad_phase, checkpoint_every, progress, keep_steps, graph: as for `run`.
 
     Raises:
         FileNotFoundError: there is no checkpoint.
@@ -130,7 +133,9 @@ def resume(
     with hold(folder):
         checkpoint = load_checkpoint(folder)
         model, steps = continued(folder, checkpoint, steps, meshes, device)
-        machine = _OneProcess(model, checkpoint.state.to(model.device), folder, broad_phase, graph)
+        machine = _OneProcess(
+            model, checkpoint.state.to(model.device), folder, broad_phase, graph, LastSteps(steps, keep_steps, Step)
+        )
         return _finish(machine, checkpoint.steps_made, steps, folder, checkpoint_every, progress)
 
 
@@ -180,25 +185,63 @@ class Machine(Protocol):
         ...
 
 
+S = TypeVar("S")
+
+
+class LastSteps(Generic[S]):
+    """The last steps of a run, with their details.
+
+    Args:
+        steps: total number of steps of the run.
+        kept: how many are kept.
+        eager: type of steps with details; those replayed have another.
+    """
+
+    def __init__(self, steps: int, kept: int, eager: type[S]) -> None:
+        if kept < 0:
+            raise ValueError(f"keep_steps: expected a number >= 0, got {kept}")
+        self._first, self._kept, self._eager = steps - kept, kept, eager
+        self.steps: list[S] = []
+
+    def replayed_after(self, index: int, more: int) -> int:
+        """Number of steps that follow step `index` before details of one are read, if `more` follow before the state
+        is.
+        """
+        return min(more, max(0, self._first - index))
+
+    def add(self, made: object) -> None:
+        """Records a step."""
+        if not isinstance(made, self._eager):
+            self.steps = []
+            return
+        self.steps = [*self.steps, made][max(0, len(self.steps) + 1 - self._kept) :]
+
+
 class _OneProcess:
     """All robots in this process. On a GPU consecutive steps are replays of one CUDA graph."""
 
     def __init__(
-        self, model: Model, state: RobotState, folder: Path, broad_phase: BroadPhase, graph: bool | None
+        self,
+        model: Model,
+        state: RobotState,
+        folder: Path,
+        broad_phase: BroadPhase,
+        graph: bool | None,
+        last_steps: LastSteps[Step],
     ) -> None:
         self.model, self.state, self._folder = model, state, folder
         self._digest = meshes_digest(model.meshes.meshes)
         self._steps = StepMaker(model, state, broad_phase, graph)
         self._stopping = False
-        self.last_step: Step | None = None
+        self.last_steps = last_steps
 
     def stops(self, requested: bool) -> bool:
         self._stopping = requested
         return requested and not self._steps.is_ahead
 
     def step(self, index: int, more: int) -> HasRecord:
-        made = self._steps.step(index, 0 if self._stopping else more)
-        self.last_step = made if isinstance(made, Step) else None
+        made = self._steps.step(index, 0 if self._stopping else self.last_steps.replayed_after(index, more))
+        self.last_steps.add(made)
         if not more:
             self.state = self._steps.state
         return made
@@ -217,7 +260,7 @@ def _finish(
 ) -> Run:
     log = StepLog(folder, made)
     made = drive(machine, log, made, steps, checkpoint_every, progress)
-    return Run(machine.model, machine.state, made, log.records, machine.last_step, interrupted=made < steps)
+    return Run(machine.model, machine.state, made, log.records, machine.last_steps.steps, interrupted=made < steps)
 
 
 def drive(

@@ -1,13 +1,12 @@
-"""Interactive pages of scenes, and pictures of worlds: HTML with WebGL, GLB by trimesh, a PNG by matplotlib."""
+"""Interactive pages of scenes, and pictures of worlds: HTML with WebGL, models in GLB."""
 
-from pgccd.viz.animation import Marks
 from pgccd.viz.display import show
 from pgccd.viz.live_view import Live, live
 from pgccd.viz.page import Page
 from pgccd.viz.picture import world_picture
-from pgccd.viz.snapshot import Impact, Motion, Snapshot
+from pgccd.viz.snapshot import Impact, Snapshot
 
-__all__ = ["Impact", "Live", "Marks", "Motion", "Page", "Snapshot", "live", "show", "world_picture"]
+__all__ = ["Impact", "Live", "Page", "Snapshot", "live", "show", "world_picture"]
 
 
 def __dir__() -> list[str]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import TypeAlias
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeAlias
 
 import numpy as np
 import torch
@@ -11,6 +12,7 @@ from torch import Tensor
 
 from pgccd import arguments, ops
 from pgccd.detection.contacts import ContactColumns, PairColumns
+from pgccd.detection.narrow import Status
 from pgccd.detection.padded_contacts import PaddedContacts
 from pgccd.detection.trajectories import TrajectoryContacts
 from pgccd.geometry.columns import require_meshes
@@ -19,8 +21,15 @@ from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.times import fractions_of
 from pgccd.motion.trajectory import Trajectory
 
-#: The motion of the bodies of a page.
-AnyMotion: TypeAlias = RigidMotion | VertexMotion | Trajectory
+_StepMotion: TypeAlias = RigidMotion | VertexMotion
+#: The motion of a scene.
+AnyMotion: TypeAlias = _StepMotion | Trajectory
+#: The motion of the bodies of a page; also consecutive steps.
+Motions: TypeAlias = AnyMotion | Sequence[_StepMotion]
+#: Contacts of that motion; of consecutive steps those of each step.
+AnyHits: TypeAlias = PairColumns | Sequence[PairColumns | None] | None
+#: Part of its path that each body moves; of consecutive steps those of each step.
+AnyFraction: TypeAlias = Tensor | float | Sequence[Tensor | float] | None
 
 INCOMPLETE = (
     "The result is incomplete (a capacity was exceeded, or a pose is invalid): there may be other contacts, and it "
@@ -31,16 +40,17 @@ WITHOUT_TIMES = 'The result of report="any" has pairs of bodies, but no times an
 
 @dataclass
 class RigidPaths:
-    """Poses of N rigid bodies at W waypoints. World frame, length units.
+    """Paths of N rigid bodies in S segments. World frame, length units.
 
     Attributes:
-        position: (W, N, 3) of the origins.
-        orientation: (W - 1, N, 4) at the start of each segment.
-        rotation: (W - 1, N, 3) rotation vector of each segment, radians.
+        start, end: (S, N, 3) positions of the origins at the ends of each segment.
+        orientation: (S, N, 4) at the start of each segment.
+        rotation: (S, N, 3) rotation vector of each segment, radians.
         is_linear: whether vertices move straight between the two poses.
     """
 
-    position: np.ndarray
+    start: np.ndarray
+    end: np.ndarray
     orientation: np.ndarray
     rotation: np.ndarray
     is_linear: bool = False
@@ -48,14 +58,16 @@ class RigidPaths:
 
 @dataclass
 class VertexPaths:
-    """Vertices of N deforming bodies at W waypoints, with straight paths between them. World frame, length units.
+    """Straight paths of the X vertices of N deforming bodies in S segments. World frame, length units.
 
     Attributes:
-        position: (W, X, 3).
+        position: (W, X, 3) at W moments.
+        ends: (S, 2) moments at the start and end of each segment.
         begin: (N,) first vertex of each body.
     """
 
     position: np.ndarray
+    ends: np.ndarray
     begin: np.ndarray
 
 
@@ -94,21 +106,29 @@ class Marks:
         pairs, points, number = np.zeros((0, 2), np.int64), np.zeros((0, 3)), np.zeros(0, np.int64)
         return cls(pairs, number, np.zeros(0), points, points, number, pairs, np.zeros(0, bool))
 
+    @classmethod
+    def joined(cls, parts: Sequence[Marks]) -> Marks:
+        """The contacts of all parts, in their order."""
+        columns = [vars(part).values() for part in (cls.none(), *parts)]
+        return cls(*map(np.concatenate, zip(*columns, strict=True)))
+
 
 @dataclass
 class Animation:
-    """N bodies on their paths, and contacts.
+    """N bodies on their paths in S segments, and contacts.
 
     Attributes:
         shapes: vertices (V, 3) relative to the origin, and faces (F, 3). Of deforming bodies only the faces are used.
         shape_index: (N,) shape of each body.
         paths: of the bodies.
-        colliding, static: (N,) bool.
+        hit: (S, N) bool: whether a body collides in a segment.
+        static: (N,) bool.
         ids: (N,) how bodies are named.
         marks: contacts on the whole paths.
         world: (N,) int, or None.
         margin: (N,) length units, or None.
-        fraction: (N,) body i moves on x_i(fraction_i t); or None.
+        fraction: (S, N) body i moves on x_i(fraction_i t) in each segment; or None.
+        first_step: number of the first segment, if segments are steps; None: segments lie between waypoints.
         box: (2, 3) lower and upper corner of a box that is drawn, or None.
         title: of the page.
         notes: sentences below it.
@@ -117,13 +137,14 @@ class Animation:
     shapes: list[tuple[np.ndarray, np.ndarray]]
     shape_index: np.ndarray
     paths: RigidPaths | VertexPaths
-    colliding: np.ndarray
+    hit: np.ndarray
     static: np.ndarray
     ids: np.ndarray
     marks: Marks = field(default_factory=Marks.none)
     world: np.ndarray | None = None
     margin: np.ndarray | None = None
     fraction: np.ndarray | None = None
+    first_step: int | None = None
     box: np.ndarray | None = None
     title: str = "pgccd"
     notes: list[str] = field(default_factory=list)
@@ -131,129 +152,229 @@ class Animation:
     @property
     def segment_count(self) -> int:
         """Number of segments of the paths."""
-        return len(self.paths.position) - 1
+        return len(self.hit)
+
+    @property
+    def colliding(self) -> np.ndarray:
+        """(N,) bool: whether a body collides in any segment."""
+        return np.asarray(self.hit.any(axis=0))
 
 
 def animation_of(
-    scene: Scene, motion: AnyMotion, hits: PairColumns | None = None, fraction: Tensor | float | None = None
+    scene: Scene, motion: Motions, hits: AnyHits = None, fraction: AnyFraction = None, world: int | None = None
 ) -> Animation:
     """The animation of a scene and its motion, with the contacts found for them. Synchronises with a GPU.
 
     Args:
-        scene, motion, hits, fraction: as for `pgccd.show`.
+        scene, motion, hits, fraction, world: as for `pgccd.show`.
 
     Raises:
         TypeError, ValueError: naming the argument.
     """
     if not isinstance(scene, Scene):
         raise TypeError(f"scene: expected a pgccd.Scene, got {arguments.describe(scene)}")
-    if not isinstance(motion, (RigidMotion, VertexMotion, Trajectory)):
-        expected = "a RigidMotion, VertexMotion or Trajectory"
-        raise TypeError(f"motion: expected {expected}, got {arguments.describe(motion)}")
+    steps = _steps(motion)
     if fraction is not None and isinstance(motion, Trajectory):
-        raise ValueError("fraction: expected a motion of one step, got a Trajectory")
+        raise ValueError("fraction: expected a motion of one step, or a list of steps, got a Trajectory")
     scene._check_columns()
     require_meshes(scene.mesh_index, len(scene.meshes))
-    count = scene.body_count
-    paths = _paths(scene, motion)
+    count, of_worlds = scene.body_count, _worlds(scene, world)
+    is_list = not isinstance(motion, (RigidMotion, VertexMotion, Trajectory))
+    paths = _paths(scene, steps, is_list)
+    segments = len(paths.orientation if isinstance(paths, RigidPaths) else paths.ends)
     notes: list[str] = []
-    colliding, marks = np.zeros(count, dtype=bool), Marks.none()
-    if hits is not None:
-        colliding, marks = _found(hits, scene, motion, notes)
-    static, world, margin = (
-        None if (column := getattr(scene, name)) is None else _array(column) for name in ("static", "world", "margin")
+    hit, marks = np.zeros((segments, count), dtype=bool), []
+    for index, found in enumerate(_of_steps(hits, len(steps), "hits") if is_list else [hits]):
+        if found is not None:
+            name = f"hits[{index}]" if is_list else "hits"
+            rows, of_step = _found(found, scene, steps[index], notes, name)
+            of_step.segment += index
+            hit[index : index + len(rows)] = rows
+            marks.append(of_step)
+    fractions = None
+    if fraction is not None:
+        each: list[Any] = _of_steps(fraction, len(steps), "fraction") if is_list else [fraction]
+        fractions = np.stack([_array(fractions_of(part, count, scene.device)) for part in each])
+    static, margin = (
+        None if (column := getattr(scene, name)) is None else _array(column) for name in ("static", "margin")
     )
-    return Animation(
+    animation = Animation(
         shapes=[(mesh.vertices.numpy(), mesh.faces.numpy()) for mesh in scene.meshes.meshes],
         shape_index=_array(scene.mesh_index).astype(np.int64),
         paths=paths,
-        colliding=colliding,
+        hit=hit,
         static=np.zeros(count, dtype=bool) if static is None else static.astype(bool),
         ids=np.arange(count),
-        marks=marks,
-        world=world if world is not None and world.any() else None,
+        marks=Marks.joined(marks),
+        world=of_worlds if of_worlds is not None and of_worlds.any() else None,
         margin=margin if margin is not None and margin.any() else None,
-        fraction=None if fraction is None else _array(fractions_of(fraction, count, scene.device)),
-        notes=notes,
+        fraction=fractions,
+        first_step=0 if is_list else None,
+        notes=list(dict.fromkeys(notes)),
     )
+    if world is None or of_worlds is None:
+        return animation
+    return replace(_chosen(animation, np.flatnonzero(of_worlds == world)), world=None)
 
 
 def _array(column: Tensor) -> np.ndarray:
     return column.detach().cpu().numpy()
 
 
-def _paths(scene: Scene, motion: AnyMotion) -> RigidPaths | VertexPaths:
-    if isinstance(motion, Trajectory):
-        step, segments = motion.steps(), motion.segment_count
+def _steps(motion: Any) -> list[AnyMotion]:
+    """The steps of a list; of another motion that alone."""
+    if isinstance(motion, (RigidMotion, VertexMotion, Trajectory)):
+        return [motion]
+    if not isinstance(motion, Sequence) or isinstance(motion, str):
+        expected = "a RigidMotion, VertexMotion or Trajectory, or a list of steps"
+        raise TypeError(f"motion: expected {expected}, got {arguments.describe(motion)}")
+    if not motion:
+        raise ValueError("motion: expected at least one step, got an empty list")
+    for index, step in enumerate(motion):
+        if not isinstance(step, (RigidMotion, VertexMotion)):
+            expected = "a RigidMotion or VertexMotion"
+            raise TypeError(f"motion[{index}]: expected {expected}, got {arguments.describe(step)}")
+        kinds = [
+            f"{type(each).__name__}, path {each.path!r}" if isinstance(each, RigidMotion) else type(each).__name__
+            for each in (motion[0], step)
+        ]
+        if kinds[0] != kinds[1]:
+            raise ValueError(f"motion[{index}]: expected a motion like the first ({kinds[0]}), got {kinds[1]}")
+    return list(motion)
+
+
+def _of_steps(values: Any, steps: int, name: str) -> list[Any]:
+    """One value for each step of a list."""
+    if values is None or (name == "fraction" and isinstance(values, (int, float))):
+        return [values] * steps
+    is_tensor = name == "fraction" and isinstance(values, Tensor) and values.dim() == 2
+    if not is_tensor and (not isinstance(values, Sequence) or isinstance(values, str)):
+        raise TypeError(f"{name}: expected a list with one entry a step, got {arguments.describe(values)}")
+    if len(values) != steps:
+        raise ValueError(f"{name}: expected one entry for each of the {steps} steps, got {len(values)}")
+    return list(values)
+
+
+def _worlds(scene: Scene, world: int | None) -> np.ndarray | None:
+    """The worlds of the bodies (N,), if any."""
+    if world is None:
+        return None if scene.world is None else _array(scene.world)
+    if isinstance(world, bool) or not isinstance(world, int):
+        raise TypeError(f"world: expected an integer, got {arguments.describe(world)}")
+    if scene.world is None:
+        raise ValueError(f"world: the scene has no worlds (`Scene.world`), got {world}")
+    of_bodies = _array(scene.world)
+    if not (of_bodies == world).any():
+        raise ValueError(f"world: no body of the scene is in world {world}")
+    return of_bodies
+
+
+def _chosen(animation: Animation, rows: np.ndarray) -> Animation:
+    """The animation of some of the bodies, by ascending row."""
+    place = np.full(len(animation.shape_index), -1)
+    place[rows] = np.arange(len(rows))
+    marks = animation.marks[(place[animation.marks.bodies] >= 0).all(axis=1)]
+    marks.bodies = place[marks.bodies]
+    paths = animation.paths
+    if isinstance(paths, RigidPaths):
+        columns = {name: getattr(paths, name)[:, rows] for name in ("start", "end", "orientation", "rotation")}
+        paths = replace(paths, **columns)
     else:
-        motion.check()
-        step, segments = motion, 1
-    is_rigid = isinstance(step, RigidMotion)
-    columns = {name: _array(column) for name, column in step.columns().items()}
-    columns = {name: column.reshape(segments, -1, column.shape[1]) for name, column in columns.items()}
-    start, end = (columns[name] for name in (("position_t0", "position_t1") if is_rigid else ("x_t0", "x_t1")))
-    expected = scene.body_count if is_rigid else scene.layout.vertex_count
-    if start.shape[1] != expected:
-        what = "bodies" if is_rigid else "vertices"
-        raise ValueError(f"motion: has {start.shape[1]} {what}, the scene {expected}")
-    position = np.concatenate([start, end[-1:]])
-    if isinstance(step, VertexMotion):
-        return VertexPaths(position, _array(scene.layout.vertex_begin))
-    return RigidPaths(position, columns["orientation_t0"], columns["rotation"], step.path == "linear")
+        counts = np.array([len(animation.shapes[shape][0]) for shape in animation.shape_index[rows]], dtype=np.int64)
+        begin = np.cumsum([0, *counts])
+        vertices = np.arange(begin[-1]) + np.repeat(paths.begin[rows] - begin[:-1], counts)
+        paths = VertexPaths(paths.position[:, vertices], paths.ends, begin[:-1])
+    of_bodies = {name: getattr(animation, name) for name in ("shape_index", "static", "ids", "world", "margin")}
+    changed: dict[str, Any] = {n: None if column is None else column[rows] for n, column in of_bodies.items()}
+    fraction = None if animation.fraction is None else animation.fraction[:, rows]
+    return replace(animation, paths=paths, marks=marks, hit=animation.hit[:, rows], fraction=fraction, **changed)
 
 
-def _found(hits: PairColumns, scene: Scene, motion: AnyMotion, notes: list[str]) -> tuple[np.ndarray, Marks]:
-    """Which bodies collide (N,), and the contacts."""
+def _paths(scene: Scene, steps: list[AnyMotion], is_list: bool) -> RigidPaths | VertexPaths:
+    is_rigid, found = True, []
+    for index, motion in enumerate(steps):
+        if isinstance(motion, Trajectory):
+            step, segments = motion.steps(), motion.segment_count
+        else:
+            motion.check()
+            step, segments = motion, 1
+        is_rigid = isinstance(step, RigidMotion)
+        names = ("position_t0", "position_t1", "orientation_t0", "rotation") if is_rigid else ("x_t0", "x_t1")
+        all_columns = step.columns()
+        columns = [_array(all_columns[name]) for name in names]
+        columns = [column.reshape(segments, -1, column.shape[1]) for column in columns]
+        expected = scene.body_count if is_rigid else scene.layout.vertex_count
+        if columns[0].shape[1] != expected:
+            what, name = "bodies" if is_rigid else "vertices", f"motion[{index}]" if is_list else "motion"
+            raise ValueError(f"{name}: has {columns[0].shape[1]} {what}, the scene {expected}")
+        found.append(columns)
+    joined = [np.concatenate(column) for column in zip(*found, strict=True)]
+    first = steps[0]
+    if is_rigid:
+        is_linear = not isinstance(first, VertexMotion) and first.path == "linear"
+        start, end, orientation, rotation = joined
+        return RigidPaths(start, end, orientation, rotation, is_linear)
+    start, end = joined
+    # Where a segment begins at the end of the one before, as those of trajectories do, its vertices are held once.
+    moments, ends = [start[:1]], []
+    for segment in range(len(start)):
+        if segment and not np.array_equal(start[segment], moments[-1][0]):
+            moments.append(start[segment : segment + 1])
+        ends.append((len(moments) - 1, len(moments)))
+        moments.append(end[segment : segment + 1])
+    return VertexPaths(np.concatenate(moments), np.array(ends), _array(scene.layout.vertex_begin))
+
+
+def _found(hits: Any, scene: Scene, motion: AnyMotion, notes: list[str], name: str) -> tuple[np.ndarray, Marks]:
+    """Which bodies collide in each segment of a motion (S, N), and the contacts."""
     if not isinstance(hits, PairColumns):
-        raise TypeError(f"hits: expected the result of `pgccd.detect`, got {arguments.describe(hits)}")
+        raise TypeError(f"{name}: expected the result of `pgccd.detect`, got {arguments.describe(hits)}")
     count, segments = scene.body_count, motion.segment_count if isinstance(motion, Trajectory) else 1
     is_row = _array(hits.pairs)[:, 0] >= 0  # padding is -1
     pairs = _array(hits.pairs)[is_row]
     if len(pairs) and pairs.max() >= count:
-        raise ValueError(f"hits: has a contact of body {pairs.max()}, but the scene has {count} bodies")
-    colliding = np.zeros(count, dtype=bool)
-    colliding[pairs.ravel()] = True
+        raise ValueError(f"{name}: has a contact of body {pairs.max()}, but the scene has {count} bodies")
+    hit = np.zeros((segments, count), dtype=bool)
     if hits._incomplete is not None and bool(hits._incomplete):
         notes.append(INCOMPLETE)
     if not isinstance(hits, ContactColumns):
         notes.append(WITHOUT_TIMES)
-        return colliding, Marks.none()
+        hit[:, pairs.ravel()] = True
+        return hit, Marks.none()
     if isinstance(hits, TrajectoryContacts) != isinstance(motion, Trajectory):
         given = "of a trajectory" if isinstance(hits, TrajectoryContacts) else "of one step"
-        raise ValueError(f"hits: are {given}, the motion is a {type(motion).__name__}: expected those of this motion")
+        raise ValueError(f"{name}: are {given}, the motion is a {type(motion).__name__}: expected those of this motion")
     toi = hits.toi
     if isinstance(hits, PaddedContacts) and hits._found_toi is not None:
         toi = hits._found_toi  # `toi` is 0 in an incomplete result
     segment = np.zeros(len(pairs), dtype=np.int64)
     if isinstance(hits, TrajectoryContacts):
-        segment = _array(hits.segment)[is_row]
+        segment = _array(hits.segment)[is_row].copy()
         if len(segment) and segment.max() >= segments:
-            raise ValueError(f"hits: has a contact in segment {segment.max()}, but the motion has {segments}")
+            raise ValueError(f"{name}: has a contact in segment {segment.max()}, but the motion has {segments}")
+    hit[segment[:, None], pairs] = True
     names = ("point", "normal", "kind", "features", "status")
     point, normal, kind, features, status = (_array(getattr(hits, name))[is_row] for name in names)
-    return colliding, Marks(
-        pairs, segment, _array(toi)[is_row], point, normal, kind.astype(np.int64), features, status == 2
+    return hit, Marks(
+        pairs, segment, _array(toi)[is_row], point, normal, kind.astype(np.int64), features, status == Status.UNRESOLVED
     )
 
 
-def merged_paths(paths: RigidPaths, waypoints: np.ndarray) -> RigidPaths:
-    """The paths through some of the waypoints (first and last included): segments between neighbours stay as they are,
-    on others bodies move straight and turn the shorter way.
+def thinned_paths(paths: RigidPaths | VertexPaths, waypoints: np.ndarray) -> RigidPaths | VertexPaths:
+    """The paths between some of the waypoints, 0 to S (first and last included): segments between neighbours stay as
+    they are; on others, none of which is the last, bodies move straight to where the next one begins and turn the
+    shorter way.
     """
     begin, end = waypoints[:-1], waypoints[1:]
-    rotation = paths.rotation[begin].copy()
-    for row in np.flatnonzero(end > begin + 1):
-        start = torch.from_numpy(np.ascontiguousarray(paths.orientation[begin[row]]))
-        if end[row] < len(paths.orientation):
-            last = torch.from_numpy(np.ascontiguousarray(paths.orientation[end[row]]))
-        else:
-            last = end_orientation(paths.orientation[-1], paths.rotation[-1])
-        rotation[row] = ops.rotations_between(start, last).numpy()
-    return RigidPaths(paths.position[waypoints], paths.orientation[begin], rotation, paths.is_linear)
-
-
-def end_orientation(orientation: np.ndarray, rotation: np.ndarray, time: float = 1.0) -> Tensor:
-    """(N, 4): orientations (N, 4) turned by rotation vectors (N, 3), at a time in [0, 1]."""
-    start, turn = (torch.from_numpy(np.ascontiguousarray(column)) for column in (orientation, rotation))
-    nowhere = torch.zeros_like(turn)
-    return ops.poses_at(nowhere, nowhere, start, turn, torch.full_like(turn[:, 0], time))[1]
+    merged = np.flatnonzero(end > begin + 1)
+    if isinstance(paths, VertexPaths):
+        ends = paths.ends[begin]
+        ends[merged, 1] = paths.ends[end[merged], 0]
+        used, compact = np.unique(ends, return_inverse=True)
+        return replace(paths, position=paths.position[used], ends=compact.reshape(ends.shape))
+    goal, rotation = paths.end[begin].copy(), paths.rotation[begin].copy()
+    for row in merged:
+        goal[row] = paths.start[end[row]]
+        turned = (torch.from_numpy(np.ascontiguousarray(paths.orientation[k])) for k in (begin[row], end[row]))
+        rotation[row] = ops.rotations_between(*turned).numpy()
+    return RigidPaths(paths.start[begin], goal, paths.orientation[begin], rotation, paths.is_linear)

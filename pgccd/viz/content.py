@@ -11,7 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from pgccd.viz.animation import Animation, Marks, RigidPaths, VertexPaths, merged_paths
+from pgccd.viz.animation import Animation, Marks, RigidPaths, VertexPaths, thinned_paths
+from pgccd.viz.moment import faint_bodies, poses_at
+from pgccd.viz.raster import placed
 from pgccd.viz.simplify import level_within, simplified, stored_bytes
 
 # Bytes before their encoding as text, which adds a third: the page stays below 5 MB.
@@ -19,6 +21,8 @@ _MOST_BYTES = 3_550_000
 _MOST_ROWS = 36_000  # of a rigid body in a segment
 _ROW_BYTES, _BODY_BYTES, _CONTACT_BYTES = 52, 21, 79
 _MOST_CONTACTS = 2_000
+# Bits of a body's state.
+STATIC, COLLIDING, FAINT = 1, 2, 4
 _MOST_CHOICES = 1_000  # worlds in the list of the page; those of contacts are added to it
 # Long trajectories lose waypoints before bodies or triangles, down to this number of segments.
 _LEAST_SEGMENTS = 20
@@ -51,7 +55,8 @@ def page_content(animation: Animation) -> tuple[dict[str, Any], list[str]]:
         "centre": centre.tolist(),
         "scale": scale,
         "waypoints": waypoints.tolist(),
-        "bodies": _body_columns(animation, drawn, scale),
+        "step": animation.first_step,
+        "bodies": _body_columns(animation, marks, drawn, scale),
         "contacts": _contact_columns(marks, waypoints, centre, scale),
         "box": None if animation.box is None else ((animation.box - centre) / scale).tolist(),
     }
@@ -59,60 +64,65 @@ def page_content(animation: Animation) -> tuple[dict[str, Any], list[str]]:
     if isinstance(paths, RigidPaths):
         data["rigid"] = _rigid(paths, drawn, centre, scale)
     else:
-        data["deforming"] = _deforming(drawn, centre, scale)
+        data["deforming"] = _deforming(paths, drawn, centre, scale)
     return data, notes
 
 
 def _thinned(animation: Animation, marks: Marks, notes: list[str]) -> tuple[Animation, Marks, np.ndarray]:
     """The animation with fewer waypoints, if it is long; its contacts, by number of segment left; and the waypoints."""
     paths, segments = animation.paths, animation.segment_count
-    size = paths.position.shape[1]
-    fitting = _MOST_ROWS // max(1, size)
-    if isinstance(paths, VertexPaths):
-        fitting = int(0.8 * _MOST_BYTES) // (12 * max(1, size)) - 1
+    if isinstance(paths, RigidPaths):
+        fitting = _MOST_ROWS // max(1, paths.start.shape[1])
+    else:
+        moments, size, _ = paths.position.shape
+        fitting = int(0.8 * _MOST_BYTES * segments / (12 * max(1, size) * moments)) - 1
     most = max(fitting, _LEAST_SEGMENTS)
     if segments <= most:
         return animation, marks, np.arange(segments + 1)
-    # Both ends of the segments of the first contacts, then others at equal distances.
+    # Both ends of the segments of the first contacts and of the last segment, then others at equal distances.
     touched = np.unique(marks.segment)[: most // 4]
-    chosen = np.linspace(0, segments, most - 2 * len(touched) + 1).round().astype(np.int64)
-    waypoints = np.unique(np.concatenate([chosen, touched, touched + 1]))
+    chosen = np.linspace(0, segments, most - 2 * len(touched)).round().astype(np.int64)
+    waypoints = np.unique(np.concatenate([chosen, touched, touched + 1, [segments - 1]]))
     place = np.searchsorted(waypoints, marks.segment)
     is_whole = (waypoints[np.minimum(place, len(waypoints) - 2)] == marks.segment) & np.isin(
         marks.segment + 1, waypoints
     )
-    notes.append(
-        f"{len(waypoints):,} of {segments + 1:,} waypoints are on this page: between those left out, paths are "
-        "approximate."
-    )
+    kept, between = f"{len(waypoints):,} of {segments + 1:,} waypoints", "between"
+    if animation.first_step is not None:
+        kept, between = f"{len(waypoints) - 1:,} of {segments:,} steps", "in"
+    notes.append(f"{kept} are on this page: {between} those left out, paths are approximate.")
     if not is_whole.all():
         notes.append(f"{int((~is_whole).sum()):,} contacts in these parts are left out.")
     marks = marks[is_whole]
     marks.segment = place[is_whole]
-    if isinstance(paths, RigidPaths):
-        return replace(animation, paths=merged_paths(paths, waypoints)), marks, waypoints
-    return replace(animation, paths=replace(paths, position=paths.position[waypoints])), marks, waypoints
+    fraction = animation.fraction
+    if fraction is not None:
+        fraction = np.where(np.diff(waypoints)[:, None] > 1, 1.0, fraction[waypoints[:-1]])
+    hit = np.logical_or.reduceat(animation.hit, waypoints[:-1], axis=0)
+    return replace(animation, paths=thinned_paths(paths, waypoints), hit=hit, fraction=fraction), marks, waypoints
 
 
 def _order(animation: Animation) -> np.ndarray:
     """Rows of bodies: colliding ones first; then, with worlds, their worlds, else the others in random order, so that
     any prefix is a random sample.
     """
-    count = len(animation.shape_index)
+    count, colliding = len(animation.shape_index), animation.colliding
     order = np.random.default_rng(0).permutation(count)
     if animation.world is not None:
         collides = np.zeros(int(animation.world.max(initial=0)) + 1, dtype=bool)
-        collides[animation.world[animation.colliding]] = True
+        collides[animation.world[colliding]] = True
         order = np.lexsort((animation.world, ~collides[animation.world]))
-    return order[np.argsort(~animation.colliding[order], kind="stable")]
+    return order[np.argsort(~colliding[order], kind="stable")]
 
 
 def _drawn(animation: Animation, marks: Marks, notes: list[str]) -> _Drawn:
-    paths, order = animation.paths, _order(animation)
-    budget = _MOST_BYTES - _CONTACT_BYTES * len(marks)
+    paths, order, colliding = animation.paths, _order(animation), animation.colliding
+    budget, segments = _MOST_BYTES - _CONTACT_BYTES * len(marks), animation.segment_count
+    own = _BODY_BYTES + _step_bytes(animation) * segments
     if isinstance(paths, RigidPaths):
-        order = order[: max(1, _MOST_ROWS // len(paths.orientation))]
-        budget -= (_BODY_BYTES + _ROW_BYTES * len(paths.orientation)) * len(order)
+        order = order[: max(1, _MOST_ROWS // segments)]
+        budget -= (own + _ROW_BYTES * segments) * len(order)
+        own = 0
         names, first = np.unique(animation.shape_index[order], return_index=True)
         meshes = names[np.argsort(first)]  # in the order of the first body
         waypoints, pieces = 0, [animation.shapes[k] for k in meshes]
@@ -125,7 +135,6 @@ def _drawn(animation: Animation, marks: Marks, notes: list[str]) -> _Drawn:
             first = paths.begin[body]
             pieces.append((paths.position[:, first : first + counts[shape]], animation.shapes[shape][1]))
     costs = np.array([stored_bytes(vertices.shape[-2], len(faces), waypoints) for vertices, faces in pieces])
-    own = 0 if isinstance(paths, RigidPaths) else _BODY_BYTES
     least = np.minimum(costs, _LEAST_MESH_BYTES * max(1, waypoints)) + own
     kept = max(1, int((np.cumsum(least) <= budget).sum()))
     pieces, meshes = pieces[:kept], meshes[:kept]
@@ -151,14 +160,14 @@ def _drawn(animation: Animation, marks: Marks, notes: list[str]) -> _Drawn:
     mesh_of = np.array([place.get(int(key), -1) for key in keys], dtype=np.int64)
     order, mesh_of = order[mesh_of >= 0], mesh_of[mesh_of >= 0]
     if len(order) < len(animation.shape_index):
-        hit = int(animation.colliding.sum())
-        left = int(animation.colliding[order].sum())
+        hit = int(colliding.sum())
+        left = int(colliding[order].sum())
         those = f"{left:,} of the {hit:,} that collide" if left < hit else f"all {hit:,} that collide"
         notes.append(
             f"{len(order):,} of {len(animation.shape_index):,} bodies are on this page"
             + (f", {those} among them." if hit else ".")
         )
-    by_mesh = np.lexsort((~animation.colliding[order], mesh_of))
+    by_mesh = np.lexsort((~colliding[order], mesh_of))
     return _Drawn(order[by_mesh], mesh_of[by_mesh], pieces)
 
 
@@ -195,28 +204,29 @@ def _between_drawn(animation: Animation, marks: Marks, drawn: _Drawn, notes: lis
 
 def _frame(animation: Animation, drawn: _Drawn) -> tuple[np.ndarray, float]:
     """Centre (3,) and half the diagonal of a box around all bodies, world frame."""
-    paths = animation.paths
-    lower, upper = [], []
+    paths, boxes = animation.paths, [np.zeros((0, 3))]
     if isinstance(paths, RigidPaths):
-        reach = np.array([np.linalg.norm(v, axis=1).max(initial=0.0) for v, _ in drawn.meshes])[drawn.mesh_of]
-        position = paths.position[:, drawn.rows]
-        lower.append((position - reach[:, None]).reshape(-1, 3))
-        upper.append((position + reach[:, None]).reshape(-1, 3))
+        # Of the boxes of meshes at the ends and in the middle of segments.
+        for number, (vertices, _) in enumerate(drawn.meshes):
+            rows = drawn.rows[drawn.mesh_of == number]
+            low, high = (vertices.min(axis=0), vertices.max(axis=0)) if len(vertices) else np.zeros((2, 3))
+            corners = np.stack(np.meshgrid(*np.stack([low, high], axis=1)), axis=-1).reshape(-1, 3)
+            for time in (0.0, 0.5, 1.0):
+                boxes.append(placed(corners, *poses_at(paths, slice(None), time, rows)).reshape(-1, 3))
     else:
-        lower += [vertices.reshape(-1, 3) for vertices, _ in drawn.meshes]
-        upper = lower
+        boxes += [vertices.reshape(-1, 3) for vertices, _ in drawn.meshes]
     if animation.box is not None:
-        lower, upper = [*lower, animation.box], [*upper, animation.box]
-    low, high = np.concatenate(lower), np.concatenate(upper)
-    if len(low) == 0:
+        boxes.append(animation.box)
+    points = np.concatenate(boxes)
+    if len(points) == 0:
         return np.zeros(3), 1.0
-    bottom, top = low.min(axis=0), high.max(axis=0)
+    bottom, top = points.min(axis=0), points.max(axis=0)
     return 0.5 * (bottom + top), float(np.linalg.norm(0.5 * (top - bottom))) or 1.0
 
 
 def _rigid(paths: RigidPaths, drawn: _Drawn, centre: np.ndarray, scale: float) -> dict[str, Any]:
-    position = (paths.position - centre) / scale
-    columns = [position[:-1], paths.orientation, np.diff(position, axis=0), paths.rotation]
+    start, end = (paths.start - centre) / scale, (paths.end - centre) / scale
+    columns = [start, paths.orientation, end - start, paths.rotation]
     rows = np.concatenate([column[:, drawn.rows] for column in columns], axis=2)
     kinds = []
     for number, (vertices, faces) in enumerate(drawn.meshes):
@@ -226,13 +236,14 @@ def _rigid(paths: RigidPaths, drawn: _Drawn, centre: np.ndarray, scale: float) -
     return {"kinds": kinds, "linear": paths.is_linear}
 
 
-def _deforming(drawn: _Drawn, centre: np.ndarray, scale: float) -> dict[str, Any]:
+def _deforming(paths: VertexPaths, drawn: _Drawn, centre: np.ndarray, scale: float) -> dict[str, Any]:
     pieces = [drawn.meshes[number] for number in drawn.mesh_of]
     counts = [vertices.shape[1] for vertices, _ in pieces]
     begin = np.cumsum([0, *counts])[:-1]
     vertices = np.concatenate([vertices for vertices, _ in pieces], axis=1)
     faces = np.concatenate([first + faces for first, (_, faces) in zip(begin, pieces, strict=True)])
-    return _mesh((vertices - centre) / scale, faces) | {"vertex_counts": encoded(counts, np.uint32)}
+    made = _mesh((vertices - centre) / scale, faces)
+    return made | {"vertex_counts": encoded(counts, np.uint32), "ends": paths.ends.tolist()}
 
 
 def _mesh(vertices: np.ndarray, faces: np.ndarray) -> dict[str, Any]:
@@ -244,7 +255,13 @@ def _mesh(vertices: np.ndarray, faces: np.ndarray) -> dict[str, Any]:
     }
 
 
-def _body_columns(animation: Animation, drawn: _Drawn, scale: float) -> dict[str, Any]:
+def _step_bytes(animation: Animation) -> int:
+    """Bytes of a body in a segment, besides its path."""
+    return (1 if animation.segment_count > 1 else 0) + (4 if animation.fraction is not None else 0)
+
+
+def _body_columns(animation: Animation, marks: Marks, drawn: _Drawn, scale: float) -> dict[str, Any]:
+    """The columns of bodies; `marks` are contacts by row of the bodies drawn."""
     rows = drawn.rows
     # The radius about the centre of the bounding box, of deforming bodies at the first waypoint.
     radii = []
@@ -252,15 +269,21 @@ def _body_columns(animation: Animation, drawn: _Drawn, scale: float) -> dict[str
         at_start = vertices if vertices.ndim == 2 else vertices[0]
         size = np.ptp(at_start, axis=0) if len(at_start) else np.zeros(3)
         radii.append(0.5 * float(np.linalg.norm(size)))
+    radius = np.array(radii)[drawn.mesh_of] if radii else np.zeros(0)
+    colliding = animation.colliding[rows]
+    faint = faint_bodies(marks, animation.static[rows], radius)
+    state = STATIC * animation.static[rows] + COLLIDING * colliding + FAINT * (faint & colliding)
     columns: dict[str, Any] = {
         "count": len(rows),
         "of": len(animation.shape_index),
         "id": encoded(animation.ids[rows], np.uint32),
-        "state": encoded(np.where(animation.colliding[rows], 2, animation.static[rows]), np.uint8),
-        "radius": encoded(np.array(radii)[drawn.mesh_of] / scale if radii else [], np.float32),
+        "state": encoded(state, np.uint8),
+        "radius": encoded(radius / scale, np.float32),
     }
+    if animation.segment_count > 1:
+        columns["hit"] = encoded(animation.hit[:, rows], np.uint8)
     if animation.fraction is not None:
-        columns["fraction"] = encoded(animation.fraction[rows], np.float32)
+        columns["fraction"] = encoded(animation.fraction[:, rows], np.float32)
     if animation.world is not None:
         columns["world"] = encoded(animation.world[rows], np.int32)
         columns["worlds"] = np.unique(animation.world[rows])[:_MOST_CHOICES].tolist()

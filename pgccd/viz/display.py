@@ -1,4 +1,4 @@
-"""`pgccd.show`: a scene, its motion and its contacts as an interactive page, or as a GLB file."""
+"""`pgccd.show`: a scene, its motion and its contacts as an interactive page, a picture or a GLB file."""
 
 from __future__ import annotations
 
@@ -10,53 +10,55 @@ import webbrowser
 from pathlib import Path
 from typing import overload
 
-from torch import Tensor
-
 from pgccd import arguments
-from pgccd.detection.contacts import PairColumns
 from pgccd.geometry.scene import Scene
-from pgccd.viz.animation import AnyMotion, animation_of
+from pgccd.viz.animation import AnyFraction, AnyHits, Motions, animation_of
 from pgccd.viz.glb import write_glb
 from pgccd.viz.page import Page
+from pgccd.viz.png import write_png
 
 
 @overload
 def show(
     scene: Scene,
-    motion: AnyMotion,
-    hits: PairColumns | None = None,
+    motion: Motions,
+    hits: AnyHits = None,
     path: None = None,
     *,
-    fraction: Tensor | float | None = None,
+    fraction: AnyFraction = None,
+    world: int | None = None,
     title: str | None = None,
 ) -> Page: ...
 @overload
 def show(
     scene: Scene,
-    motion: AnyMotion,
-    hits: PairColumns | None = None,
+    motion: Motions,
+    hits: AnyHits = None,
     *,
     path: str | os.PathLike[str],
-    fraction: Tensor | float | None = None,
+    fraction: AnyFraction = None,
+    world: int | None = None,
     title: str | None = None,
 ) -> Path: ...
 @overload
 def show(
     scene: Scene,
-    motion: AnyMotion,
-    hits: PairColumns | None,
+    motion: Motions,
+    hits: AnyHits,
     path: str | os.PathLike[str],
     *,
-    fraction: Tensor | float | None = None,
+    fraction: AnyFraction = None,
+    world: int | None = None,
     title: str | None = None,
 ) -> Path: ...
 def show(
     scene: Scene,
-    motion: AnyMotion,
-    hits: PairColumns | None = None,
+    motion: Motions,
+    hits: AnyHits = None,
     path: str | os.PathLike[str] | None = None,
     *,
-    fraction: Tensor | float | None = None,
+    fraction: AnyFraction = None,
+    world: int | None = None,
     title: str | None = None,
 ) -> Page | Path:
     """Shows bodies on their paths, and their contacts, on an interactive page: a time slider, play, next collision.
@@ -67,16 +69,18 @@ def show(
 
     Args:
         scene: the bodies.
-        motion: their paths: a `RigidMotion`, `VertexMotion` or `Trajectory`.
-        hits: the result of `pgccd.detect` for this scene and motion, any report, also a padded one. Default: contacts
-            are not shown.
-        path: of a file to write: ".html", a page; or ".glb", a model for Blender and other viewers, which has all
-            bodies at the time of the first contact (at the start without one) and needs trimesh. Default: in a notebook
-            the page is displayed by the object returned; elsewhere it is written to a temporary file and opened in the
-            browser, or, without a display, its path is written to standard error.
+        motion: their paths: a `RigidMotion`, `VertexMotion` or `Trajectory`; or a list of the motions of consecutive
+            steps, which all are `RigidMotion` or all `VertexMotion`.
+        hits: the result of `pgccd.detect` for this scene and motion, any report, also a padded one; for a list of
+            steps, a list with the result, or None, of each. Default: contacts are not shown.
+        path: of a file to write: ".html", a page; ".png", a picture; or ".glb", a model for Blender and other viewers,
+            which needs trimesh. Pictures and models have all bodies at the time of the first contact (at the start
+            without one). Default: in a notebook the page is displayed by the object returned; elsewhere it is written
+            to a temporary file and opened in the browser, or, without a display, its path is written to standard error.
         fraction: body i moves on x_i(fraction_i t): a number or (N,) in [0, 1], such as `fraction` of
-            `pgccd.resolve`; not with a `Trajectory`. A box on the page switches to whole paths, on which contacts are.
-            Not in GLB files.
+            `pgccd.resolve`; not with a `Trajectory`; for a list of steps, one of these for each, or a number for all. A
+            box on the page switches to whole paths, on which contacts are. Not in pictures and models.
+        world: shows this world of the scene alone (`Scene.world`). Default: a page has a list of worlds to choose from.
         title: of the page. Default: numbers of bodies and contacts.
 
     Returns:
@@ -90,14 +94,16 @@ def show(
     Example:
         >>> pgccd.show(scene, motion, hits, path="scene.html")
         PosixPath('scene.html')
+        >>> pgccd.show(scene, [motion, motion], [hits, None], path="steps.html")  # steps of a loop
+        PosixPath('steps.html')
     """
     if title is not None and not isinstance(title, str):
         raise TypeError(f"title: expected a string, got {arguments.describe(title)}")
     if path is not None:
         path = require_writable(arguments.path(path, "path"))
-        if path.suffix.lower() == ".glb":
-            return write_glb(path, animation_of(scene, motion, hits))
-    page = Page.of(scene, motion, hits, fraction=fraction, title=title)
+        if (write := _STILL.get(path.suffix.lower())) is not None:
+            return write(path, animation_of(scene, motion, hits, fraction, world))
+    page = Page.of(scene, motion, hits, fraction=fraction, world=world, title=title)
     if page.left_out:
         warnings.warn(f"show: {' '.join(page.left_out)}", stacklevel=2)
     if path is not None:
@@ -107,15 +113,24 @@ def show(
     return page
 
 
+#: Writers of files that show one time, by suffix.
+_STILL = {".glb": write_glb, ".png": write_png}
+
+
+def is_page(path: Path) -> bool:
+    """Whether `show` writes a page to this path, not a picture or a model."""
+    return path.suffix.lower() not in _STILL
+
+
 def require_writable(path: Path) -> Path:
-    """The path of a page or a model, if it can be written.
+    """The path of a page, a picture or a model, if it can be written.
 
     Raises:
-        ValueError: it is neither, by its suffix.
+        ValueError: it is none of these, by its suffix.
         OSError: it cannot.
     """
-    if path.suffix.lower() not in (".html", ".htm", ".glb"):
-        raise ValueError(f"path: expected a name that ends in .html, .htm or .glb, got {path}")
+    if path.suffix.lower() not in (".html", ".htm", *_STILL):
+        raise ValueError(f"path: expected a name that ends in .html, .htm, .png or .glb, got {path}")
     if path.is_dir():
         raise IsADirectoryError(f"path: {path} is a folder: expected the name of a file")
     if not path.parent.is_dir():

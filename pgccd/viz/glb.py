@@ -6,18 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
-from pgccd import ops
 from pgccd.viz.animation import Animation, RigidPaths
+from pgccd.viz.moment import COLOURS, colours_at_first, first_moment, poses_at, vertices_at
 from pgccd.viz.raster import placed
 
-_GREY, _FIRST, _SECOND, _COLLIDING = (
-    (133, 158, 189, 255),
-    (245, 102, 31, 255),
-    (250, 199, 56, 255),
-    (214, 145, 105, 255),
-)
 _MARK = (30, 30, 30, 255)
 
 
@@ -32,15 +25,10 @@ def write_glb(path: Path, animation: Animation) -> Path:
         import trimesh
     except ImportError as error:
         raise ImportError("path: GLB files need trimesh: pip install 'pgccd[mesh]'") from error
-    marks, segment, time = animation.marks, 0, 0.0
-    colours = np.where(animation.colliding, 1, 0)
-    if len(marks):
-        first = np.lexsort((marks.toi, marks.segment))[0]
-        segment, time = int(marks.segment[first]), float(marks.toi[first])
-        j, i = marks.bodies[first, 1], marks.bodies[first, 0]
-        colours[j], colours[i] = 3, 2
+    marks, (segment, time, at_time) = animation.marks, first_moment(animation)
+    colours = colours_at_first(animation)
     scene = trimesh.Scene()
-    paints = (_GREY, _COLLIDING, _FIRST, _SECOND)
+    paints = [(*(255 * colour).round().astype(int).tolist(), 255) for colour in COLOURS]
 
     def add(vertices: np.ndarray, faces: np.ndarray, paint: tuple[int, ...], **where: Any) -> None:
         material = trimesh.visual.material.PBRMaterial(
@@ -63,12 +51,11 @@ def write_glb(path: Path, animation: Animation) -> Path:
             vertices, faces = animation.shapes[shape]
             add(vertices, faces, paints[colour], geom_name=name, node_name=node, transform=poses[body])
     else:
-        for body, vertices in enumerate(_vertices(animation, segment, time)):
+        for body, vertices in enumerate(vertices_at(animation, segment, time)):
             node = f"body {animation.ids[body]}"
             faces = animation.shapes[animation.shape_index[body]][1]
             add(vertices, faces, paints[colours[body]], geom_name=node, node_name=node)
     size = 0.03 * float(np.linalg.norm(scene.extents)) if len(scene.geometry) else 1.0
-    at_time = np.flatnonzero((marks.segment == segment) & (marks.toi == time))
     for number in at_time.tolist():
         ball = trimesh.creation.icosphere(subdivisions=2, radius=0.2 * size)
         parts = [ball.apply_translation(marks.point[number])]
@@ -84,37 +71,9 @@ def write_glb(path: Path, animation: Animation) -> Path:
 
 def _poses(paths: RigidPaths, segment: int, time: float) -> np.ndarray:
     """(N, 4, 4) matrices of all bodies."""
-    position, orientation = _at(paths, segment, time)
+    position, orientation = poses_at(paths, segment, time)
     matrices = np.tile(np.eye(4), (len(position), 1, 1))
     for axis in range(3):
         matrices[:, :3, axis] = placed(np.eye(3)[axis, None], np.zeros_like(position), orientation)[:, 0]
     matrices[:, :3, 3] = position
     return matrices
-
-
-def _at(paths: RigidPaths, segment: int, time: float) -> tuple[np.ndarray, np.ndarray]:
-    columns = (
-        paths.position[segment],
-        paths.position[segment + 1],
-        paths.orientation[segment],
-        paths.rotation[segment],
-    )
-    start, end, orientation, rotation = (torch.from_numpy(np.ascontiguousarray(column)) for column in columns)
-    poses = ops.poses_at(start, end, orientation, rotation, torch.full_like(start[:, 0], time))
-    return poses[0].numpy(), poses[1].numpy()
-
-
-def _vertices(animation: Animation, segment: int, time: float) -> list[np.ndarray]:
-    """Vertices of each body, (V, 3) each, on straight paths."""
-    paths, found = animation.paths, []
-    if isinstance(paths, RigidPaths):
-        ends = [_at(paths, segment, moment) for moment in (0.0, 1.0)]
-        for body, shape in enumerate(animation.shape_index.tolist()):
-            vertices = animation.shapes[shape][0]
-            start, end = (placed(vertices, x[body, None], q[body, None])[0] for x, q in ends)
-            found.append((1.0 - time) * start + time * end)
-        return found
-    position = (1.0 - time) * paths.position[segment] + time * paths.position[segment + 1]
-    for body, shape in enumerate(animation.shape_index.tolist()):
-        found.append(position[paths.begin[body] :][: len(animation.shapes[shape][0])])
-    return found

@@ -7,15 +7,10 @@ import json
 import re
 from pathlib import Path
 
-import numpy as np
-from torch import Tensor
-
 from pgccd import arguments
-from pgccd.detection.contacts import PairColumns
 from pgccd.geometry.scene import Scene
-from pgccd.viz.animation import Animation, AnyMotion, Marks, RigidPaths, animation_of
+from pgccd.viz.animation import Animation, AnyFraction, AnyHits, Motions, RigidPaths, animation_of
 from pgccd.viz.content import page_content
-from pgccd.viz.snapshot import Motion, Snapshot
 
 # A WebGL 2 viewer without external scripts; @NAME@ is replaced.
 _TEMPLATE = Path(__file__).with_name("page.html")
@@ -25,8 +20,8 @@ _HEIGHT = 600  # pixels, in a notebook
 class Page:
     """A self-contained HTML page, below 5 MB, that shows bodies on their paths with WebGL 2. Notebooks display it.
 
-    From `Page.of` or `Page.of_snapshot`. What does not fit is left out (bodies that do not collide first; waypoints of
-    long trajectories; triangles of large meshes), and the page says so.
+    From `Page.of`; of the nanorobot model, `pgccd.sim.page_of_steps`. What does not fit is left out (bodies that do not
+    collide first; waypoints of long trajectories; triangles of large meshes), and the page says so.
 
     Attributes:
         html: text of the page.
@@ -41,9 +36,9 @@ class Page:
         PosixPath('scene.html')
     """
 
-    def __init__(self, animation: Animation, time: float = 0.0) -> None:
+    def __init__(self, animation: Animation, playing: bool = False) -> None:
         data, self.left_out = page_content(animation)
-        data["time"] = time
+        data["playing"] = playing
         data["moving"] = _moves(animation)
         self.title, self.notes = animation.title, list(animation.notes)
         self.path: Path | None = None
@@ -61,16 +56,17 @@ class Page:
     def of(
         cls,
         scene: Scene,
-        motion: AnyMotion,
-        hits: PairColumns | None = None,
+        motion: Motions,
+        hits: AnyHits = None,
         *,
-        fraction: Tensor | float | None = None,
+        fraction: AnyFraction = None,
+        world: int | None = None,
         title: str | None = None,
     ) -> Page:
         """A page of any scene.
 
         Args:
-            scene, motion, hits, fraction, title: as for `pgccd.show`.
+            scene, motion, hits, fraction, world, title: as for `pgccd.show`.
 
         Raises:
             TypeError, ValueError: as for `pgccd.show`.
@@ -79,41 +75,9 @@ class Page:
             >>> pgccd.viz.Page.of(scene, motion, hits).left_out
             []
         """
-        animation = animation_of(scene, motion, hits, fraction)
+        animation = animation_of(scene, motion, hits, fraction, world)
         animation.title = _title(animation) if title is None else title
         return cls(animation)
-
-    @classmethod
-    def of_snapshot(cls, snapshot: Snapshot) -> Page:
-        """A page of a world after a step.
-
-        Args:
-            snapshot: such as from `pgccd.sim.snapshot_of_step`.
-
-        Example:
-            >>> pgccd.viz.Page.of_snapshot(pgccd.sim.snapshot_of_step(model, step)).save("model.html")
-            PosixPath('model.html')
-        """
-        still = np.zeros_like(snapshot.position)
-        at_rest = Motion(snapshot.position, snapshot.orientation, still, still, None, Marks.none())
-        motion = snapshot.motion or at_rest
-        title, *notes = snapshot.caption or ["Nanorobot world"]
-        half = snapshot.half_extent
-        position = np.stack([motion.position, motion.position + motion.velocity])
-        animation = Animation(
-            shapes=[(mesh.vertices.numpy(), mesh.faces.numpy()) for mesh in snapshot.meshes],
-            shape_index=snapshot.kind,
-            paths=RigidPaths(position, motion.orientation[None], motion.angular_velocity[None]),
-            colliding=snapshot.colliding,
-            static=np.zeros(len(snapshot.kind), dtype=bool),
-            ids=snapshot.ids,
-            marks=motion.contacts,
-            fraction=motion.fraction,
-            box=np.stack([-half, half]),
-            title=title,
-            notes=notes,
-        )
-        return cls(animation, time=1.0)
 
     def save(self, path: str | Path) -> Path:
         """Writes the page.
@@ -145,13 +109,15 @@ class Page:
 def _title(animation: Animation) -> str:
     bodies = len(animation.shape_index)
     title = f"{bodies:,} {'body' if bodies == 1 else 'bodies'}"
-    if animation.segment_count > 1:
-        title += f", {animation.segment_count + 1:,} waypoints"
+    segments = animation.segment_count
+    if segments > 1:
+        title += f", {segments + 1:,} waypoints" if animation.first_step is None else f", {segments:,} steps"
     contacts = len(animation.marks)
     return title + (f", {contacts:,} contact{'s' * (contacts != 1)}" if contacts else "")
 
 
 def _moves(animation: Animation) -> bool:
     paths = animation.paths
-    turns = isinstance(paths, RigidPaths) and bool(paths.rotation.any())
-    return turns or bool((paths.position != paths.position[:1]).any())
+    if isinstance(paths, RigidPaths):
+        return bool(paths.rotation.any()) or bool((paths.start[:1] != paths.end).any())
+    return bool((paths.position != paths.position[:1]).any())

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pgccd.geometry.mesh import Mesh
-from pgccd.viz.animation import Marks
 
 
 @dataclass
@@ -40,27 +39,6 @@ class Impact:
 
 
 @dataclass
-class Motion:
-    """The motion of the step that led to a snapshot, for playback. World frame, length units.
-
-    Attributes:
-        position: (N, 3) at t0.
-        orientation: (N, 4) unit quaternions (w, x, y, z) at t0.
-        velocity: (N, 3) displacement of the whole step.
-        angular_velocity: (N, 3) rotation vector of the whole step, radians.
-        fraction: (N,) part of its path that each body moved, on x(fraction t); None: all of it.
-        contacts: on the whole paths.
-    """
-
-    position: np.ndarray
-    orientation: np.ndarray
-    velocity: np.ndarray
-    angular_velocity: np.ndarray
-    fraction: np.ndarray | None
-    contacts: Marks
-
-
-@dataclass
 class Snapshot:
     """A world at one moment, as numpy arrays. World frame, length units.
 
@@ -73,8 +51,7 @@ class Snapshot:
         colliding: (N,) bool.
         half_extent: (3,) of the box, centred on the origin.
         caption: a title, then statistics.
-        motion: of the step before, if known.
-        impact: a contact of that step, if known.
+        impact: a contact of the step before, if known.
 
     Example:
         >>> pgccd.viz.world_picture("model.png", pgccd.sim.snapshot_of_step(model, step, ["After step 7"]))
@@ -88,5 +65,4 @@ class Snapshot:
     colliding: np.ndarray
     half_extent: np.ndarray
     caption: list[str] = field(default_factory=list)
-    motion: Motion | None = None
     impact: Impact | None = None

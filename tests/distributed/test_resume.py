@@ -211,9 +211,9 @@ def draw(comm: Comm, folder: str) -> tuple[int, list[int], list[list[int]]]:
     """Pictures of a world too large for one rank: the sample, and its contacts by ids."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(runner, "_MOST_GATHERED", 100)
-        finished = run(comm, CONFIG, 6, folder, keep_last_step=True)
-    step = finished.last_step
-    assert step is not None and torch.equal(step.after.id, step.before.id)
+        finished = run(comm, CONFIG, 6, folder, keep_steps=3)
+    (step,) = finished.last_steps  # of a sample only one
+    assert torch.equal(step.after.id, step.before.id)
     assert torch.equal(respond(step.before, step.resolution.fraction).position, step.after.position)
     if comm.rank == 0:
         write_pictures(finished, Path(folder))
@@ -223,10 +223,29 @@ def draw(comm: Comm, folder: str) -> tuple[int, list[int], list[list[int]]]:
 def test_large_worlds_are_drawn_from_a_sample(ranks: World, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     whole = sim.run(CONFIG, 6, tmp_path / "one")
-    pairs = whole.last_step.before.id[whole.last_step.contacts.pairs]
+    pairs = whole.last_steps[0].before.id[whole.last_steps[0].contacts.pairs]
     pairs = pairs[pairs[:, 0] % 3 == 0].tolist()
     assert len(pairs) > 1
     of_ranks = ranks.run(2, draw, str(tmp_path / "two"))  # type: ignore[attr-defined]
     assert of_ranks[0] == (3, sorted({*range(0, 240, 3), *(id for pair in pairs for id in pair)}), pairs)
     assert of_ranks[1] == (3, [], [])
     assert "one in 3 robots is shown" in (tmp_path / "two" / "world.html").read_text()
+
+
+def keep(comm: Comm, folder: str) -> list[list[list[object]]]:
+    finished = run(comm, CONFIG, 9, folder, keep_steps=4)
+    return [of_step(step) for step in finished.last_steps]
+
+
+def of_step(step: sim.Step) -> list[list[object]]:
+    columns = (step.before.position, step.before.id, step.resolution.fraction, step.after.position, step.after.velocity)
+    contacts = (step.contacts.pairs, step.toi, step.contacts.point)
+    return [[step.index], *(column.tolist() for column in (*columns, *contacts))]
+
+
+def test_last_steps_are_those_of_one_process(ranks: World, tmp_path: Path) -> None:
+    whole = sim.run(CONFIG, 9, tmp_path / "one", keep_steps=4)
+    expected = [of_step(step) for step in whole.last_steps]
+    assert [step[0] for step in expected] == [[5], [6], [7], [8]] and sum(len(step[-1]) for step in expected) > 1
+    of_ranks = ranks.run(2, keep, str(tmp_path / "two"))  # type: ignore[attr-defined]
+    assert of_ranks[0] == expected

@@ -190,7 +190,7 @@ def test_a_log_that_lacks_lines_does_not_make_a_checkpoint_useless(
 
 def test_a_run_of_no_steps_is_a_run(tmp_path: Path) -> None:
     run = sim.run(CONFIG, 0, tmp_path)
-    assert run.records == [] and run.last_step is None and not run.interrupted
+    assert run.records == [] and run.last_steps == [] and not run.interrupted
     assert sim.load_checkpoint(tmp_path).steps_made == 0
 
 

@@ -21,6 +21,7 @@ LOOPS = {
     "README.md": ("box", 1),
     "cluster.md": ("rock", 0),
     "cuda_graphs.md": ("box", 1),
+    "see_a_scene.md": ("box", 1),
     "02_simulation_loop.py": ("box", 0),
     "04_many_ranks.py": ("box", 0),
 }

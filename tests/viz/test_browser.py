@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -12,7 +13,7 @@ import pytest
 import torch
 
 import pgccd
-from pgccd import viz
+from pgccd import sim, viz
 from pgccd.viz import content
 from pgccd.viz.raster import placed
 
@@ -179,6 +180,7 @@ def test_worlds_are_shown_one_by_one_or_together(
     scene, motion, hits = meeting(world=[1, 1, 0])
     tab = open_page(viz.Page.of(scene, motion, hits))
     tab.evaluate("document.querySelector('section').style.left = '-400px'")
+    set_time(tab, 0.0)
     places = motion.at(0.0)[0].numpy()
 
     def drawn() -> list[bool]:
@@ -194,6 +196,7 @@ def test_worlds_are_shown_one_by_one_or_together(
     monkeypatch.setattr(content, "_MOST_CHOICES", 1)
     tab = open_page(viz.Page.of(scene, motion, hits))
     tab.evaluate("document.querySelector('section').style.left = '-400px'")
+    set_time(tab, 0.0)
     assert tab.input_value("#world") == "1" and drawn() == [True, True, False]
 
 
@@ -223,6 +226,7 @@ def test_margins_are_shells_around_bodies(open_page: Callable[[viz.Page], Any]) 
     scene, motion, hits = meeting(margin=[0.0, 0.0, 0.5])
     tab = open_page(viz.Page.of(scene, motion, hits))
     tab.evaluate("document.querySelector('section').style.left = '-400px'")
+    set_time(tab, 0.0)
     beside, other = [0.0, 4.0, 0.76], [4.0, 0.0, 0.85]
     assert name_of(colour_at(tab, beside)) == name_of(colour_at(tab, other)) == "nothing"
     tab.evaluate("element('margins').click()")
@@ -250,4 +254,115 @@ def test_slow_machines_leave_out_bodies_that_do_not_collide_and_say_so(open_page
     assert text == "Drawing is slow on this machine: 62 bodies that do not collide are left out."
     places = motion.at(0.0)[0].numpy()
     tab.evaluate("document.querySelector('section').style.left = '-400px'")
+    set_time(tab, 0.0)
     assert all(name_of(colour_at(tab, place)) != "nothing" for place in places[:2])
+
+
+def test_a_page_opens_at_the_first_contact_beside_its_panel(open_page: Callable[[viz.Page], Any]) -> None:
+    scene, motion, hits = meeting()
+    scene, motion = pgccd.Scene([CUBE], [0, 0]), motion[:2]
+    tab = open_page(viz.Page.of(scene, motion, hits))
+    toi = float(hits.toi[0])
+    assert float(tab.input_value("#time")) == pytest.approx(toi, abs=1e-9) and tab.inner_text("#about") == ""
+    panel = tab.evaluate("document.querySelector('section').getBoundingClientRect().right")
+    for time in (toi, 0.0, 1.0):
+        set_time(tab, time)
+        for place in motion.at(time)[0].tolist():
+            x, y = tab.evaluate("point => project(point)", place)
+            assert panel < x < 1000 and 0 < y < 700 and name_of(colour_at(tab, place)) not in ("nothing", "grey")
+    assert float(open_page(viz.Page.of(scene, motion)).input_value("#time")) == 0.0
+    # On a narrow page there is no room beside the panel.
+    tab.set_viewport_size({"width": 500, "height": 700})
+    settled(tab)
+    assert abs(tab.evaluate("project(data.centre)[0]") - 250) < 1
+
+
+def stops(is_rigid: bool) -> tuple[pgccd.Scene, list[Any], list[pgccd.Contacts], list[torch.Tensor]]:
+    """Cube 0 rests; cube 1 comes and stops halfway, then goes away; in the first step it would go on through cube 0."""
+    x = torch.tensor([[0.0, 0, 0], [4.0, 0, 0]]).double()
+    halfway = torch.tensor([[0.0, 0, 0], [2.0, 0, 0]]).double()
+    q = torch.tensor([[1.0, 0, 0, 0]] * 2).double()
+    ends = [(x, torch.zeros(2, 3).double()), (halfway, halfway + torch.tensor([[0.0, 0, 0], [0, 4, 0]]))]
+    motions: list[Any] = [pgccd.RigidMotion(start, q, end, q) for start, end in ends]
+    scene = pgccd.Scene([CUBE], [0, 0])
+    if not is_rigid:
+        corners = [[(at[:, None] + CUBE.vertices).reshape(-1, 3) for at in pair] for pair in ends]
+        motions = [pgccd.VertexMotion(*pair) for pair in corners]
+    hits = [pgccd.detect(scene, motion) for motion in motions]
+    assert [len(found) for found in hits] == [1, 0]
+    return scene, motions, hits, [torch.tensor([1.0, 0.5]), torch.tensor([1.0, 1.0])]
+
+
+@pytest.mark.parametrize("is_rigid", [True, False])
+def test_recorded_steps_are_drawn_with_their_stops(is_rigid: bool, open_page: Callable[[viz.Page], Any]) -> None:
+    scene, motions, hits, fractions = stops(is_rigid)
+    tab = open_page(viz.Page.of(scene, motions, hits, fraction=fractions))
+    tab.evaluate("document.querySelector('section').style.left = '-400px'")
+    assert float(tab.input_value("#time")) == pytest.approx(0.5 * float(hits[0].toi[0]), abs=1e-9)
+    tab.evaluate("element('marks').click()")
+    cases = [(0.0, [4, 0, 0], "0.000 of step 0"), (0.25, [3, 0, 0], "0.500 of step 0")]
+    cases += [
+        (0.499, [2, 0, 0], "0.998 of step 0"),
+        (0.501, [2, 0, 0], "0.002 of step 1"),
+        (1.0, [2, 4, 0], "1.000 of"),
+    ]
+    for time, place, clock in cases:
+        set_time(tab, time)
+        assert tab.inner_text("#clock").startswith(clock)
+        red, green, _ = colour_at(tab, place)
+        assert name_of(colour_at(tab, place)) in (FIRST, "other")
+        # Strong in the step of the contact, pale in others.
+        assert (green / red < 0.5) == (time < 0.5)
+        assert name_of(colour_at(tab, [4 if place[0] == 3 else 3, 2, 0])) == "nothing"
+    tab.evaluate("element('whole').click()")
+    set_time(tab, 0.375)
+    assert name_of(colour_at(tab, [1.0, 0, 0])) != "nothing" == name_of(colour_at(tab, [2.5, 0, 0]))
+    tab.evaluate("element('next').click()")
+    assert f"touch at {float(hits[0].toi[0]):.6f} of step 0" in tab.inner_text("#about")
+
+
+def test_the_page_of_the_model_plays_until_it_is_touched(open_page: Callable[[viz.Page], Any]) -> None:
+    model = sim.Model(sim.ModelConfig(robots=60, speed=0.25))
+    state, steps = model.start(), []
+    scene = model.scene(state.id)
+    for index in range(12):
+        steps.append(sim.make_step(model, scene, state, index))
+        state = steps[-1].after
+    tab = open_page(sim.page_of_steps(model, steps[-3:]))
+    tab.wait_for_function("Number(element('time').value) > 0.01")
+    assert tab.inner_text("#play") == "Pause" and re.fullmatch(r"0\.\d+ of step 9", tab.inner_text("#clock"))
+    tab.click("#next")
+    settled(tab)
+    assert tab.inner_text("#play") == "Play" and re.search(r" of step (9|10|11) ", tab.inner_text("#about"))
+    tab.click("#play")
+    set_time(tab, 0.9)  # as if the slider was moved
+    assert tab.inner_text("#play") == "Play" and tab.inner_text("#clock") == "0.700 of step 11"
+
+
+def test_the_page_of_the_model_does_not_play_where_drawing_is_slow(browser: Any, tmp_path: Path) -> None:
+    model = sim.Model(sim.ModelConfig(robots=60, speed=0.25))
+    state = model.start()
+    step = sim.make_step(model, model.scene(state.id), state, 0)
+    tab = browser.new_page(viewport={"width": 1000, "height": 700})
+    tab.add_init_script("{ let now = 0; performance.now = () => now += 300; }")
+    tab.goto(sim.page_of_steps(model, [step]).save(tmp_path / "page.html").as_uri())
+    for _ in range(4):
+        settled(tab)
+    assert tab.inner_text("#play") == "Play" and tab.input_value("#time") == "0"
+    tab.close()
+
+
+def test_a_floor_keeps_its_colour(open_page: Callable[[viz.Page], Any]) -> None:
+    plate = pgccd.Mesh.box([20.0, 20.0, 0.1])
+    scene = pgccd.Scene([plate, CUBE], static=[True, False])
+    x = torch.tensor([[0.0, 0, 0], [0.1, 0.2, 2.0]]).double()
+    q = torch.tensor([[1.0, 0, 0, 0]] * 2).double()
+    motion = pgccd.RigidMotion(x, q, x - torch.tensor([[0, 0, 0], [0, 0, 1.8]]), q)
+    hits = pgccd.detect(scene, motion)
+    tab = open_page(viz.Page.of(scene, motion, hits))
+    tab.evaluate("document.querySelector('section').style.left = '-400px'; element('marks').click()")
+    settled(tab)
+    places = [[5.0, -5.0, 0.05], motion.at(float(hits.toi[0]))[0][1].tolist()]
+    assert name_of(colour_at(tab, places[0])) == "other" and name_of(colour_at(tab, places[1])) in (FIRST, SECOND)
+    red, green, blue = colour_at(tab, places[0]).astype(float)
+    assert max(red, green, blue) < 1.25 * min(red, green, blue)  # nearly grey

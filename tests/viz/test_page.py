@@ -16,6 +16,7 @@ import pgccd
 from pgccd import sim, viz
 from pgccd.detection.capacity import sizes_of
 from pgccd.viz import content
+from pgccd.viz.animation import RigidPaths, animation_of
 from pgccd.viz.raster import placed
 
 IDENTITY = [1.0, 0.0, 0.0, 0.0]
@@ -41,10 +42,10 @@ def vertices_at(data: dict[str, Any], segment: int, time: float) -> dict[int, np
     """World vertices of each body on a page, by id, by the formulas of its shaders."""
     count = data["bodies"]["count"]
     ids = decoded(data["bodies"]["id"], np.uint32, count).tolist()
+    segments, found = len(data["waypoints"]) - 1, []
     fraction = np.ones(count)
     if "fraction" in data["bodies"]:
-        fraction = decoded(data["bodies"]["fraction"], np.float32, count)
-    segments, found = len(data["waypoints"]) - 1, []
+        fraction = decoded(data["bodies"]["fraction"], np.float32, segments, count)[segment]
     if "rigid" in data:
         row = 0
         for kind in data["rigid"]["kinds"]:
@@ -64,9 +65,12 @@ def vertices_at(data: dict[str, Any], segment: int, time: float) -> dict[int, np
                 found.append(ends[0] if len(ends) == 1 else (1 - t) * ends[0] + t * ends[1])
                 row += 1
     else:
-        all_vertices = decoded(data["deforming"]["vertices"], np.float32, segments + 1, -1, 3).astype(float)
-        mixed = (1 - time) * all_vertices[segment] + time * all_vertices[segment + 1]
+        ends = np.array(data["deforming"]["ends"])
+        all_vertices = decoded(data["deforming"]["vertices"], np.float32, ends.max() + 1, -1, 3).astype(float)
         counts = decoded(data["deforming"]["vertex_counts"], np.uint32, count)
+        t = time * np.repeat(fraction, counts)[:, None]
+        start, end = ends[segment]
+        mixed = (1 - t) * all_vertices[start] + t * all_vertices[end]
         found = np.split(mixed, np.cumsum(counts)[:-1])
     assert len(found) == count
     return {name: np.array(data["centre"]) + data["scale"] * v for name, v in zip(ids, found, strict=True)}
@@ -188,34 +192,137 @@ def test_edges_through_faces_are_at_the_start() -> None:
     assert np.array_equal(decoded(contacts["point"], np.float64, len(hits), 3), hits.point)
 
 
-def test_page_of_a_world_is_self_contained_and_holds_all_robots() -> None:
+def test_page_of_the_model_is_self_contained_and_plays_all_robots() -> None:
     model = sim.Model(sim.ModelConfig(robots=150, speed=0.25))
-    state = model.start()
+    state, steps = model.start(), []
     scene = model.scene(state.id)
     for index in range(12):
-        step = sim.make_step(model, scene, state, index)
-        state = step.after
-    snapshot = sim.snapshot_of_step(model, step, ["A <title>", "figures"])
-    page = viz.Page.of_snapshot(snapshot)
+        steps.append(sim.make_step(model, scene, state, index))
+        state = steps[-1].after
+    page = sim.page_of_steps(model, steps[8:], ["A <title>", "figures"])
     assert len(page.html) < 5e6 and page.left_out == []
     assert "A &lt;title&gt;" in page.html and "@" not in re.sub(r"@media|@keyframes", "", page.html.split("<script")[0])
     assert not re.search(r"(src|href)\s*=|https?://|@import", page.html)
     data = data_of(page)
-    colliding, contacts = int(snapshot.colliding.sum()), data["contacts"]
     kind = data["rigid"]["kinds"][0]
     assert kind["count"] == data["bodies"]["count"] == data["bodies"]["of"] == 150
-    states = decoded(data["bodies"]["state"], np.uint8, 150)
+    assert data["step"] == 8 and len(data["waypoints"]) == 5 and data["playing"]
+    stopped = torch.stack([step.resolution.stopped for step in steps[8:]]).numpy()
+    ids, contacts = decoded(data["bodies"]["id"], np.uint32, 150), data["contacts"]
+    assert np.array_equal(decoded(data["bodies"]["hit"], np.uint8, 4, 150), stopped[:, ids])
+    states, colliding = decoded(data["bodies"]["state"], np.uint8, 150), int(stopped.any(axis=0).sum())
     assert (states[:colliding] == 2).all() and (states[colliding:] == 0).all() and colliding > 0
-    pairs = decoded(contacts["bodies"], np.int32, contacts["count"], 2)
-    names = decoded(data["bodies"]["id"], np.uint32, 150)[pairs]
-    assert {tuple(row) for row in names.tolist()} == {
-        tuple(row) for row in step.before.id[step.contacts.pairs].tolist()
-    }
-    shown = vertices_at(data, 0, 1.0)  # where the bodies are after the step
-    local = snapshot.meshes[0].vertices.numpy()
-    for row in range(0, 150, 10):
-        expected = placed(local, snapshot.position[row, None], snapshot.orientation[row, None])[0]
-        assert np.allclose(shown[int(snapshot.ids[row])], expected, atol=1e-4)
+    names = ids[decoded(contacts["bodies"], np.int32, contacts["count"], 2)]
+    segments = decoded(contacts["segment"], np.int32, contacts["count"])
+    local = model.meshes.meshes[0].vertices.numpy()
+    for segment, step in enumerate(steps[8:]):
+        pairs = {tuple(row) for row in names[segments == segment].tolist()}
+        assert pairs == {tuple(row) for row in step.before.id[step.contacts.pairs].tolist()}
+        shown = vertices_at(data, segment, 1.0)  # where the bodies are after the step
+        for row in range(0, 150, 10):
+            pose = step.after.position[row, None].numpy(), step.after.orientation[row, None].numpy()
+            assert np.allclose(shown[int(state.id[row])], placed(local, *pose)[0], atol=1e-4)
+    with pytest.raises(ValueError, match="^steps: expected at least one step"):
+        sim.page_of_steps(model, [])
+
+
+def recorded(is_rigid: bool) -> tuple[pgccd.Scene, list[Any], list[Any], list[torch.Tensor]]:
+    """Steps of a loop, each of which begins where bodies have been stopped in the one before."""
+    rng, mesh = np.random.default_rng(7), ball(1)
+    scene = pgccd.Scene([mesh], [0, 0, 0])
+    x = torch.tensor([[0.0, 0, 0], [3.0, 0, 0], [0, 5.0, 0]]).double()
+    q = torch.tensor([IDENTITY] * 3).double()
+    motions: list[Any] = []
+    for _ in range(4):
+        v = torch.from_numpy(rng.normal(size=(3, 3))) - 0.5 * x
+        if is_rigid:
+            motions.append(pgccd.RigidMotion.from_velocity(x, q, v, torch.from_numpy(rng.normal(size=(3, 3))), 1.0))
+        else:
+            vertices = [(column[:, None] + mesh.vertices).reshape(-1, 3) for column in (x, x + v)]
+            motions.append(pgccd.VertexMotion(*vertices))
+        found = pgccd.detect(scene, motions[-1])
+        fraction = pgccd.resolve(scene, motions[-1]).fraction
+        if is_rigid:
+            x, q = motions[-1].at(fraction)
+        else:
+            x = x + fraction[:, None] * v
+    hits = [pgccd.detect(scene, motion) for motion in motions]
+    assert sum(map(len, hits)) > 1 and len(found) == len(hits[-1])
+    return scene, motions, hits, [pgccd.resolve(scene, motion).fraction for motion in motions]
+
+
+@pytest.mark.parametrize("is_rigid", [True, False])
+def test_recorded_steps_are_shown_one_after_another(is_rigid: bool) -> None:
+    scene, motions, hits, fractions = recorded(is_rigid)
+    given: Any = [None if len(found) == 0 else found for found in hits]
+    page = viz.Page.of(scene, motions, given, fraction=fractions)
+    data = data_of(page)
+    count = sum(map(len, hits))
+    assert page.title == f"3 bodies, 4 steps, {count} contact{'s' * (count > 1)}" and data["step"] == 0
+    assert decoded(data["contacts"]["segment"], np.int32, count).tolist() == [
+        segment for segment, found in enumerate(hits) for _ in found.toi
+    ]
+    tois = torch.cat([found.toi.sort().values for found in hits])
+    assert np.array_equal(decoded(data["contacts"]["toi"], np.float64, count), tois)
+    ids = decoded(data["bodies"]["id"], np.uint32, 3)
+    hit = decoded(data["bodies"]["hit"], np.uint8, 4, 3)
+    local = scene.meshes.meshes[0].vertices.numpy()
+    for segment, (motion, fraction) in enumerate(zip(motions, fractions, strict=True)):
+        assert set(ids[hit[segment] > 0].tolist()) == set(hits[segment].pairs.flatten().tolist())
+        for time in (0.0, 0.7, 1.0):
+            shown = vertices_at(data, segment, time)
+            if is_rigid:
+                position, orientation = (column.numpy() for column in motion.at(time * fraction))
+                expected = placed(local, position, orientation)
+            else:
+                t = time * fraction.repeat_interleave(len(local))[:, None]
+                expected = ((1 - t) * motion.x_t0 + t * motion.x_t1).view(3, -1, 3).numpy()
+            for body in range(3):
+                assert np.allclose(shown[body], expected[body], atol=1e-5)
+    whole = data_of(viz.Page.of(scene, motions, fraction=0.5))
+    assert (decoded(whole["bodies"]["fraction"], np.float32, 4, 3) == 0.5).all() and whole["contacts"]["count"] == 0
+    table = data_of(viz.Page.of(scene, motions, given, fraction=torch.stack(fractions)))
+    assert table == data
+
+
+def test_steps_of_a_trajectory_are_that_trajectory() -> None:
+    rng, scene = np.random.default_rng(8), pgccd.Scene([ball(1), ball(0)], [0, 1, 0])
+    (x, q), (y, r), (z, p) = (rows_of(rng, 3) for _ in range(3))
+    vertices = torch.from_numpy(rng.normal(size=(4, scene.layout.vertex_count, 3)))
+    for trajectory in (pgccd.Trajectory(torch.stack([x, y, z]), torch.stack([q, r, p])), pgccd.Trajectory(vertices)):
+        steps: list[Any] = [trajectory.segment(k) for k in range(trajectory.segment_count)]
+        whole, listed = data_of(viz.Page.of(scene, trajectory)), data_of(viz.Page.of(scene, steps))
+        assert whole | {"step": 0} == listed
+
+
+def test_long_runs_are_joined_where_nothing_happens() -> None:
+    scene, count = pgccd.Scene([ball(1)], [0, 0]), 40_000
+    q = torch.tensor([IDENTITY] * 2).double()
+    places = torch.zeros(count + 1, 2, 3).double()
+    places[:, 0, 0], places[:, 1, 1] = torch.arange(count + 1) * 0.5, 5.0
+    # Columns of one step, seen as many: making so many motions takes longer than the page.
+    half = [torch.tensor([0.5, 1.0]).double()] * count
+    animation = animation_of(scene, [pgccd.RigidMotion(places[0], q, places[1], q)] * 2, None, half[:2])
+    paths = animation.paths
+    assert isinstance(paths, RigidPaths)
+    start = places[:-1].numpy()
+    turn, spin = (np.repeat(column[:1], count, axis=0) for column in (paths.orientation, paths.rotation))
+    step = np.array([[1.0, 0, 0], [0, 0, 0]])  # body 0 moves half of its path
+    long = replace(
+        animation,
+        paths=RigidPaths(start, start + step, turn, spin),
+        hit=np.zeros((count, 2), dtype=bool),
+        fraction=np.stack([column.numpy() for column in half]),
+    )
+    page = viz.Page(long)
+    data, kept = data_of(page), data_of(page)["waypoints"]
+    assert page.left_out == [
+        f"{len(kept) - 1:,} of 40,000 steps are on this page: in those left out, paths are approximate."
+    ]
+    assert kept[-2:] == [count - 1, count]  # the last step has no next one to end at
+    for segment in (0, 1, len(kept) - 3, len(kept) - 2):
+        middle = vertices_at(data, segment, 1.0)[0].mean(axis=0)
+        assert np.allclose(middle, places[kept[segment + 1], 0], atol=1e-2)
 
 
 def test_large_meshes_are_simplified_within_the_size_promised() -> None:
@@ -310,6 +417,55 @@ def test_large_deforming_scenes_stay_within_the_size_promised(waypoints: int) ->
     for body, vertices in vertices_at(data, 0, 0.0).items():  # of those drawn, all are vertices of the body
         nearest = np.abs(vertices[:5, None] - base[body * 2562 : (body + 1) * 2562] - drift[0]).max(axis=2).min(axis=1)
         assert (nearest < 1e-3).all()
+
+
+def test_one_world_of_many() -> None:
+    rng, scene = np.random.default_rng(9), pgccd.Scene([ball(1), ball(0)], [0, 1, 0, 1, 1], world=[0, 2, 2, 0, 2])
+    x, q = rows_of(rng, 5)
+    rigid = pgccd.RigidMotion(x, q, -x, q)
+    vertices = torch.from_numpy(rng.normal(size=(2, scene.layout.vertex_count, 3)))
+    for motion in (rigid, pgccd.VertexMotion(*vertices)):
+        hits = pgccd.detect(scene, motion)
+        page = viz.Page.of(scene, motion, hits, fraction=0.5, world=2)
+        data, whole = data_of(page), data_of(viz.Page.of(scene, motion, hits, fraction=0.5))
+        shown, everything = vertices_at(data, 0, 0.6), vertices_at(whole, 0, 0.6)
+        assert sorted(shown) == [1, 2, 4] and "world" not in data["bodies"] and page.title.startswith("3 bodies")
+        assert all(np.allclose(shown[body], everything[body], atol=1e-5) for body in shown)
+        of_world = torch.tensor([0, 2, 2, 0, 2])[hits.pairs[:, 0]] == 2
+        number = data["contacts"]["count"]
+        assert 0 < number == int(of_world.sum()) < len(hits)
+        names = decoded(data["bodies"]["id"], np.uint32, 3)[decoded(data["contacts"]["bodies"], np.int32, number, 2)]
+        order = hits.toi[of_world].argsort(stable=True)
+        assert names.tolist() == hits.pairs[of_world][order].tolist()
+
+
+def test_a_page_is_as_large_as_its_bodies_at_all_times() -> None:
+    # A thin rod, hinged at its end, turns by 180 degrees about z.
+    rod = pgccd.Mesh(0.5 * np.array([[2.0, 0, 0], [2, 0.1, 0], [0, 0, 0.1], [0, 0, 0]]), [[0, 1, 2], [0, 2, 3]])
+    x, q = torch.tensor([[1.0, 1, 1]]).double(), torch.tensor([IDENTITY]).double()
+    spin = torch.tensor([[0.0, 0, np.pi]]).double()
+    data = data_of(viz.Page.of(pgccd.Scene([rod]), pgccd.RigidMotion.from_velocity(x, q, torch.zeros(1, 3), spin, 1.0)))
+    times = [vertices_at(data, 0, t)[0] for t in (0.0, 0.5, 1.0)]
+    seen = np.concatenate(times)
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    assert np.allclose(data["centre"], 0.5 * (low + high), atol=0.03)
+    assert data["scale"] == pytest.approx(0.5 * np.linalg.norm(high - low), rel=0.03)
+
+
+@pytest.mark.parametrize("floor", ["static", "large", "small"])
+def test_floors_keep_their_colour(floor: str) -> None:
+    size = 2.0 if floor == "small" else 40.0
+    plate, dice = pgccd.Mesh.box([size, size, 0.1]), pgccd.Mesh.box([1.0, 1.0, 1.0])
+    scene = pgccd.Scene([plate, dice], static=[floor == "static", False])
+    x = torch.tensor([[0.0, 0, 0], [0.1, 0.2, 2.0]]).double()
+    q = torch.tensor([IDENTITY] * 2).double()
+    motion = pgccd.RigidMotion(x, q, x - torch.tensor([[0, 0, 0], [0, 0, 1.8]]), q)
+    data = data_of(viz.Page.of(scene, motion, pgccd.detect(scene, motion)))
+    ids, states = decoded(data["bodies"]["id"], np.uint32, 2), decoded(data["bodies"]["state"], np.uint8, 2)
+    assert dict(zip(ids.tolist(), states.tolist(), strict=True)) == {
+        0: {"static": 7, "large": 6, "small": 2}[floor],
+        1: 2,
+    }
 
 
 def test_worlds_margins_and_static_bodies() -> None:

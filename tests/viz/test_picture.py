@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pgccd import sim, viz
-from pgccd.sim.pictures import write_pictures
+from pgccd.sim.pictures import shown_steps, write_pictures
 from pgccd.viz.raster import Camera, Canvas
 
 
@@ -75,9 +75,26 @@ def test_picture_is_written_and_shows_the_colliding_robots(snapshot: viz.Snapsho
 def test_a_world_between_steps_has_pictures_too(tmp_path: Path) -> None:
     model = sim.Model(sim.ModelConfig(robots=3))
     still = sim.snapshot_of_state(model, model.start())
-    assert viz.Page.of_snapshot(still).save(tmp_path / "world.html").stat().st_size > 10_000
     pytest.importorskip("matplotlib")
     assert viz.world_picture(tmp_path / "world.png", still).stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("steps", [0, 1, 9])
+def test_a_run_is_played_from_its_last_steps(steps: int, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    config = sim.ModelConfig(robots=60, speed=0.25)
+    keep = shown_steps(config)
+    run = sim.run(config, steps, tmp_path, keep_steps=keep)
+    shown = range(max(0, steps - keep), steps)
+    assert keep == 6 and [step.index for step in run.last_steps] == list(shown)
+    page = write_pictures(run, tmp_path)["page"].read_text()
+    assert f'"step":{shown[0] if steps else "null"},' in page and f'"playing":{str(steps > 0).lower()}' in page
+    assert ("Plays steps 3 to 8; the numbers are those of step 8" in page) == (steps == 9)
+    assert ("<p>Plays step 0</p>" in page) == (steps == 1)
+
+
+def test_larger_worlds_play_fewer_steps() -> None:
+    assert [shown_steps(sim.ModelConfig(robots=n)) for n in (1, 10_000, 20_000, 30_001, 10**6)] == [6, 6, 3, 1, 1]
 
 
 def test_pictures_replace_links(tmp_path: Path) -> None:

@@ -116,6 +116,60 @@ def test_glb_of_deforming_bodies_and_linear_paths(tmp_path: Path) -> None:
         assert np.abs(found[:, None] - expected).max(axis=2).min(axis=0).max() < 1e-5
 
 
+def picture(path: Path) -> np.ndarray:
+    """The colours (height, width, 3) of a PNG, and its compression, checked by another reader."""
+    image = pytest.importorskip("matplotlib.image").imread(path)
+    assert image.shape == (1200, 1600, 3)
+    return image
+
+
+def areas(image: np.ndarray) -> dict[str, int]:
+    """Numbers of pixels of bodies of the first contact, of others, of floors, and of marks."""
+    red, green, blue = np.moveaxis(image / np.maximum(image.max(axis=2, keepdims=True), 1e-6), 2, 0)
+    dark, background = image.max(axis=2) < 0.15, image.min(axis=2) > 0.94
+    first = ~dark & (blue < 0.3) & (green < 0.5)
+    second = ~dark & (blue < 0.4) & (green > 0.7)
+    blueish = ~background & (red < 0.8)
+    names = {"first": first, "second": second, "free": blueish, "marks": dark, "nothing": background}
+    return {name: int(found.sum()) for name, found in names.items()}
+
+
+@pytest.mark.filterwarnings("error")
+def test_png_shows_the_first_contact_and_its_mark(tmp_path: Path) -> None:
+    scene, motion, hits = meeting()
+    found = areas(picture(pgccd.show(scene, motion, hits, path=tmp_path / "scene.png")))
+    assert all(area > 300 for area in found.values()), found
+    still = areas(picture(pgccd.show(scene, motion, path=tmp_path / "still.png")))
+    assert still["free"] > 300 and still["first"] == still["second"] == still["marks"] == 0
+    # All bodies are in the picture, which they fill.
+    for name in ("scene", "still"):
+        rows, columns = np.nonzero(picture(tmp_path / f"{name}.png").min(axis=2) < 0.9)
+        wide, high = columns.max() - columns.min(), rows.max() - rows.min()
+        assert columns.min() > 0 and columns.max() < 1599 and rows.min() > 0 and rows.max() < 1199
+        assert wide > 1400 or high > 1050
+
+
+def test_png_of_floors_deforming_bodies_and_steps(tmp_path: Path) -> None:
+    plate, dice = pgccd.Mesh.box([6.0, 6.0, 0.1]), pgccd.Mesh.box([1.0, 1.0, 1.0])
+    scene = pgccd.Scene([plate, dice], static=[True, False])
+    x = torch.tensor([[0.0, 0, 0], [0.1, 0.2, 2.0]]).double()
+    q = torch.tensor([[1.0, 0, 0, 0]] * 2).double()
+    fall = torch.tensor([[0.0, 0, 0], [0, 0, 0.9]]).double()
+    steps = [pgccd.RigidMotion(x - k * fall, q, x - (k + 1) * fall, q) for k in range(2)]
+    hits = [pgccd.detect(scene, step) for step in steps]
+    assert [len(found) for found in hits] == [0, 1]
+    image = picture(pgccd.show(scene, steps, hits, path=tmp_path / "floor.png"))
+    found = areas(image)
+    assert found["second"] > 3000 and found["first"] == 0  # the floor keeps its colour
+    corners = [p + dice.vertices for p in (x[1:], x[1:] - 1.8)]
+    sheet = torch.tensor([[-3.0, -3, 0], [3, -3, 0], [3, 3, 0], [-3, 3, 0]]).double()
+    mesh = pgccd.Mesh(sheet, [[0, 2, 1], [0, 3, 2]])  # seen from behind
+    cloth = pgccd.Scene([mesh, dice])
+    motion = pgccd.VertexMotion(*(torch.cat([sheet, corner]) for corner in corners))
+    found = areas(picture(pgccd.show(cloth, motion, pgccd.detect(cloth, motion), path=tmp_path / "cloth.png")))
+    assert found["nothing"] < 0.8 * 1600 * 1200 and found["second"] > 3000
+
+
 def test_glb_without_trimesh_names_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "trimesh", None)
     with pytest.raises(ImportError, match=r"^path: GLB files need trimesh: pip install 'pgccd\[mesh\]'$"):
@@ -126,7 +180,9 @@ def test_bad_input_is_named(tmp_path: Path) -> None:
     scene, motion, hits = meeting()
     still = motion.position_t0
     trajectory = pgccd.Trajectory(torch.stack([still] * 3), torch.stack([motion.orientation_t0] * 3))
-    smaller = pgccd.Scene(scene.meshes, [0, 0])
+    smaller, worlds = pgccd.Scene(scene.meshes, [0, 0]), pgccd.Scene(scene.meshes, [0, 0, 0], world=[0, 0, 1])
+    vertices = pgccd.VertexMotion(*torch.zeros(2, 15, 3).double())
+    linear = pgccd.RigidMotion(still, motion.orientation_t0, still, motion.orientation_t0, "linear")
     path: Any = tmp_path / "scene.html"
     (tmp_path / "folder.html").mkdir()
     cases: list[tuple[Any, dict[str, Any], type[Exception], str]] = [
@@ -135,7 +191,7 @@ def test_bad_input_is_named(tmp_path: Path) -> None:
             (scene, still),
             {},
             TypeError,
-            "motion: expected a RigidMotion, VertexMotion or Trajectory, got",
+            "motion: expected a RigidMotion, VertexMotion or Trajectory, or a list of steps, got a float64 tensor",
         ),
         ((smaller, motion), {}, ValueError, "motion: has 3 bodies, the scene 2"),
         ((scene, pgccd.VertexMotion(still, still)), {}, ValueError, "motion: has 3 vertices, the scene 15"),
@@ -144,15 +200,33 @@ def test_bad_input_is_named(tmp_path: Path) -> None:
         ((scene, trajectory, hits), {}, ValueError, "hits: are of one step, the motion is a Trajectory"),
         ((scene, motion, pgccd.detect(scene, trajectory)), {}, ValueError, "hits: are of a trajectory, the motion is"),
         ((scene, motion), {"fraction": 2.0}, ValueError, "fraction: expected"),
-        ((scene, trajectory), {"fraction": 0.5}, ValueError, "fraction: expected a motion of one step, got a Traj"),
+        ((scene, trajectory), {"fraction": 0.5}, ValueError, "fraction: expected a motion of one step, or a list"),
         ((scene, motion), {"title": 3}, TypeError, "title: expected a string, got 3"),
         ((scene, motion), {"path": 3}, TypeError, "path: expected a path, got 3"),
         (
             (scene, motion),
-            {"path": tmp_path / "a.png"},
+            {"path": tmp_path / "a.jpg"},
             ValueError,
-            "path: expected a name that ends in .html, .htm or",
+            r"path: expected a name that ends in .html, .htm, .png or .glb, got .*a\.jpg",
         ),
+        ((scene, []), {}, ValueError, "motion: expected at least one step, got an empty list"),
+        (
+            (scene, [motion, trajectory]),
+            {},
+            TypeError,
+            r"motion\[1\]: expected a RigidMotion or VertexMotion, got Traj",
+        ),
+        ((scene, [motion, vertices]), {}, ValueError, r"motion\[1\]: expected a motion like the first \(RigidMotion, "),
+        ((scene, [motion, linear]), {}, ValueError, r"motion\[1\]: expected .* got RigidMotion, path 'linear'"),
+        ((scene, [motion, motion[:2]]), {}, ValueError, r"motion\[1\]: has 2 bodies, the scene 3"),
+        ((scene, [motion] * 2, hits), {}, TypeError, "hits: expected a list with one entry a step, got Contacts"),
+        ((scene, [motion] * 2, [hits]), {}, ValueError, "hits: expected one entry for each of the 2 steps, got 1"),
+        ((scene, [motion] * 2, [None, still]), {}, TypeError, r"hits\[1\]: expected the result of `pgccd.detect`"),
+        ((scene, [motion] * 2), {"fraction": still[:, 0]}, TypeError, "fraction: expected a list with one entry a st"),
+        ((scene, [motion] * 2), {"fraction": [0.5]}, ValueError, "fraction: expected one entry for each of the 2"),
+        ((scene, motion), {"world": 0}, ValueError, r"world: the scene has no worlds \(`Scene.world`\), got 0"),
+        ((worlds, motion), {"world": 7}, ValueError, "world: no body of the scene is in world 7"),
+        ((worlds, motion), {"world": "a"}, TypeError, "world: expected an integer, got 'a'"),
         ((scene, motion), {"path": tmp_path / "folder.html"}, IsADirectoryError, "path: .* is a folder"),
         ((scene, motion), {"path": tmp_path / "no" / "a.html"}, FileNotFoundError, "path: .* there is no folder"),
     ]

@@ -28,7 +28,8 @@ from pgccd.sim.log import StepLog
 from pgccd.sim.model import Model, ModelConfig, RobotState
 from pgccd.sim.progress import Progress
 from pgccd.sim.run_folder import begin
-from pgccd.sim.runner import Run, continued, drive
+from pgccd.sim.runner import LastSteps, Run, continued, drive
+from pgccd.sim.step import Step
 
 # Maximum number of robots gathered on one rank, some 0.3 GB with their contacts; a picture draws no more.
 _MOST_GATHERED = 1_000_000
@@ -66,7 +67,7 @@ def run(
     options: DistributedOptions | None = None,
     checkpoint_every: int = 0,
     progress: Progress | None = None,
-    keep_last_step: bool = False,
+    keep_steps: int = 0,
     overwrite: bool = False,
     notes: Mapping[str, Any] | None = None,
 ) -> Run:
@@ -81,11 +82,11 @@ def run(
             `pgccd.sim.run`; equal on all ranks.
         device: of this rank.
         options: of the distribution.
-        keep_last_step: gather the robots and the contacts of the last step on rank 0 (for pictures); of more than a
-            million robots an even sample, whose size does not grow with the world.
+        keep_steps: number of last steps of which the robots and the contacts are gathered on rank 0, for pictures. Of
+            more than a million robots the last step of an even sample, whose size does not grow with the world.
 
     Returns:
-        The run; without records on ranks other than 0. With `keep_last_step` rank 0 has the gathered state.
+        The run; without records on ranks other than 0. With `keep_steps` rank 0 has the gathered state.
 
     Raises:
         ValueError: naming the argument; on all ranks.
@@ -98,7 +99,7 @@ def run(
     if steps < 0:
         raise ValueError(f"steps: expected a number >= 0, got {steps}")
     model = together(comm, lambda: Model(config, meshes, device))
-    _compare(comm, model, steps, folder, checkpoint_every, options)
+    _compare(comm, model, steps, folder, checkpoint_every, keep_steps, options)
 
     with hold_together(comm, folder):
         on_first(comm, lambda: begin(folder, model.describe() | dict(notes or {}), overwrite))
@@ -107,7 +108,7 @@ def run(
         simulation = DistributedSimulation.create(
             comm, model, partition, start, options.balance, options.overlap, broad_phase
         )
-        return _continue(simulation, 0, steps, folder, checkpoint_every, progress, keep_last_step)
+        return _continue(simulation, 0, steps, folder, checkpoint_every, progress, keep_steps)
 
 
 def resume(
@@ -121,13 +122,13 @@ def resume(
     options: DistributedOptions | None = None,
     checkpoint_every: int = 0,
     progress: Progress | None = None,
-    keep_last_step: bool = False,
+    keep_steps: int = 0,
 ) -> Run:
     """Continues a run from its newest checkpoint, on any number of ranks, with the same result as without interruption.
     The checkpoint may be from `pgccd.sim.run`.
 
     Args:
-        comm, folder, meshes, device, broad_phase, options, checkpoint_every, progress, keep_last_step: as for `run`.
+        comm, folder, meshes, device, broad_phase, options, checkpoint_every, progress, keep_steps: as for `run`.
         steps: total number of steps; default: that of the run.
 
     Raises:
@@ -143,14 +144,14 @@ def resume(
         stored = on_first(comm, lambda: require_checkpoint(folder))
         header = stored.run
         model, steps = together(comm, lambda: continued(folder, header, steps, meshes, device))
-        _compare(comm, model, steps, folder, checkpoint_every, options)
+        _compare(comm, model, steps, folder, checkpoint_every, keep_steps, options)
         state = load_robots(comm, stored).to(model.device)
         partition = load_partition(comm, stored, _partition(comm, model, options, stored_kind(stored)))
         simulation = DistributedSimulation.create(
             comm, model, partition, state, options.balance, options.overlap, broad_phase
         )
         made = header.steps_made
-        return _continue(simulation, made, steps, folder, checkpoint_every, progress, keep_last_step)
+        return _continue(simulation, made, steps, folder, checkpoint_every, progress, keep_steps)
 
 
 def load_robots(comm: Comm, stored: StoredCheckpoint) -> RobotState:
@@ -159,10 +160,16 @@ def load_robots(comm: Comm, stored: StoredCheckpoint) -> RobotState:
 
 
 def _compare(
-    comm: Comm, model: Model, steps: int, folder: Path, checkpoint_every: int, options: DistributedOptions
+    comm: Comm,
+    model: Model,
+    steps: int,
+    folder: Path,
+    checkpoint_every: int,
+    keep_steps: int,
+    options: DistributedOptions,
 ) -> None:
     facts = {"configuration": model.config, "steps": steps, "folder": str(folder), "options": options}
-    facts |= {"checkpoint_every": checkpoint_every, "device": model.device.type}
+    facts |= {"checkpoint_every": checkpoint_every, "keep_steps": keep_steps, "device": model.device.type}
     facts |= {"meshes": meshes_digest(model.meshes.meshes), "transport": comm.transport}
     require_agreement(comm, facts)
 
@@ -176,10 +183,12 @@ def _partition(comm: Comm, model: Model, options: DistributedOptions, former: st
 class _SimulationMachine:
     """A simulation as `Machine` of `drive`."""
 
-    def __init__(self, simulation: DistributedSimulation, folder: Path, digest: str) -> None:
+    def __init__(
+        self, simulation: DistributedSimulation, folder: Path, digest: str, last_steps: LastSteps[RankStep]
+    ) -> None:
         self.simulation, self._digest = simulation, digest
         self._checkpoints = CheckpointWriter(simulation.comm, folder, KIND)
-        self.last_step: RankStep | None = None
+        self._last_steps = last_steps
         self._asked = False  # on this rank
         self._stopping: bool | None = None  # on all ranks; None before the first step
 
@@ -191,9 +200,10 @@ class _SimulationMachine:
         return self._stopping and not self.simulation.is_ahead
 
     def step(self, index: int, more: int) -> RankStep | CommittedRankStep:
-        made = self.simulation.step(index, self._asked, 0 if self._stopping else more)
+        more = 0 if self._stopping else self._last_steps.replayed_after(index, more)
+        made = self.simulation.step(index, self._asked, more)
         self._stopping = self._stopping or made.stop_requested
-        self.last_step = made if isinstance(made, RankStep) else None
+        self._last_steps.add(made)
         return made
 
     def save(self, steps_made: int, steps_wanted: int) -> None:
@@ -213,16 +223,17 @@ def _continue(
     folder: Path,
     checkpoint_every: int,
     progress: Progress | None,
-    keep_last_step: bool,
+    keep_steps: int,
 ) -> Run:
     comm, model = simulation.comm, simulation.model
-    machine = _SimulationMachine(simulation, folder, meshes_digest(model.meshes.meshes))
+    one_in = -(-model.config.robots // _MOST_GATHERED) if keep_steps else 1
+    last_steps = LastSteps(steps, min(keep_steps, 1) if one_in > 1 else keep_steps, RankStep)
+    machine = _SimulationMachine(simulation, folder, meshes_digest(model.meshes.meshes), last_steps)
     log = together(comm, lambda: StepLog(folder, steps_made) if comm.rank == 0 else None)
     made = drive(machine, log, steps_made, steps, checkpoint_every, progress)
     comm.barrier()  # rank 0 has completed the last checkpoint
-    state, last_step = simulation.state, None
-    one_in = -(-model.config.robots // _MOST_GATHERED) if keep_last_step else 1
-    if keep_last_step:
-        state, last_step = gather_sample(comm, state, machine.last_step, one_in)
+    state, shown = simulation.state, list[Step]()
+    if keep_steps:
+        state, shown = gather_sample(comm, state, last_steps.steps, one_in)
     records = [] if log is None else log.records
-    return Run(model, state, made, records, last_step, interrupted=made < steps, one_in=one_in)
+    return Run(model, state, made, records, shown, interrupted=made < steps, one_in=one_in)

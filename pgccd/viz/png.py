@@ -1,0 +1,130 @@
+"""Bodies at one time as a PNG file."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from pgccd.viz.animation import Animation
+from pgccd.viz.moment import COLOURS, colours_at_first, first_moment, vertices_at
+from pgccd.viz.raster import Camera, Canvas
+
+_PIXELS = 1600, 1200
+# Drawn at twice the size, for smooth edges.
+_FINER = 2
+_BACKGROUND = 0.957, 0.965, 0.976
+# From the scene to the camera: where a page looks from at first.
+_BACK = np.array([np.cos(0.42) * np.cos(-1.07), np.cos(0.42) * np.sin(-1.07), np.sin(0.42)])
+_MARK, _FIRST_MARK = (0.65, 0.08, 0.20), (0.05, 0.05, 0.08)
+# Length of an arrow at the target, relative to the height of the picture; and the part of its distance from the camera
+# at which a mark is drawn instead, in the same size, so that no body is in front of it.
+_ARROW, _NEARER = 0.09, 0.1
+_TRIANGLES_AT_ONCE = 1_000_000
+
+
+def write_png(path: Path, animation: Animation) -> Path:
+    """Writes all bodies at the time of the first contact, or at the start if there is none, and the contacts of that
+    time: points, and normals as arrows. The bodies of the first contact have two colours.
+    """
+    segment, time, at_time = first_moment(animation)
+    bodies = vertices_at(animation, segment, time)
+    corners = [np.stack([body.min(axis=0), body.max(axis=0)]) for body in bodies if len(body)] or [np.zeros((1, 3))]
+    camera = _camera(np.concatenate(corners), bodies)
+    distance = float(np.linalg.norm(camera.eye - camera.target))
+    canvas = Canvas(camera, _BACKGROUND, (0.5 * _NEARER * distance, 2.0 * distance))
+    paints = COLOURS[colours_at_first(animation)]
+    for vertices, faces, body in _joined(animation, bodies):
+        both_sides = np.concatenate([faces, faces[:, ::-1]])
+        canvas.draw(vertices, both_sides, paints[np.tile(body, 2)])
+    for row in at_time[::-1].tolist():
+        vertices, faces = _arrow(animation.marks.point[row], animation.marks.normal[row], _ARROW * camera.height)
+        nearer = camera.eye + _NEARER * (vertices - camera.eye)
+        canvas.draw(nearer, faces, np.tile(_FIRST_MARK if row == at_time[0] else _MARK, (len(faces), 1)))
+    width, height = _PIXELS
+    image = canvas.image().reshape(height, _FINER, width, _FINER, 3).mean(axis=(1, 3))
+    path.write_bytes(_png(np.round(255.0 * image).astype(np.uint8)))
+    return path
+
+
+def _camera(corners: np.ndarray, bodies: list[np.ndarray]) -> Camera:
+    """A camera that sees all bodies, whose bounding boxes have these corners (C, 3)."""
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    target, radius = 0.5 * (low + high), float(np.linalg.norm(0.5 * (high - low))) or 1.0
+    pixels = _FINER * _PIXELS[0], _FINER * _PIXELS[1]
+    camera = Camera(target + 3.0 * radius * _BACK, target, 2.0 * radius, pixels)
+    # In the picture the bodies take less than their ball: the camera moves across, and the picture shrinks.
+    right, up, _ = camera.axes
+    flat = [camera.project(body)[:, :2] for body in bodies if len(body)]
+    if flat:
+        first = np.min([points.min(axis=0) for points in flat], axis=0)  # column and row
+        last = np.max([points.max(axis=0) for points in flat], axis=0)
+        unit = camera.height / pixels[1]
+        column, row = 0.5 * (first + last) - 0.5 * np.array(pixels)
+        target = target + unit * (column * right - row * up)
+        size = last - first
+        camera = Camera(
+            target + 3.0 * radius * _BACK,
+            target,
+            1.1 * unit * max(size[1], size[0] * pixels[1] / pixels[0], 1.0),
+            pixels,
+        )
+    return camera
+
+
+def _joined(animation: Animation, bodies: list[np.ndarray]) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Vertices (V, 3), faces (T, 3) and the body row (T,) of each face, of many bodies at a time."""
+    begin, triangles = 0, 0
+    for end, shape in enumerate(animation.shape_index.tolist(), 1):
+        triangles += len(animation.shapes[shape][1])
+        if triangles >= _TRIANGLES_AT_ONCE or end == len(bodies):
+            rows = range(begin, end)
+            of_rows = [animation.shapes[animation.shape_index[row]][1] for row in rows]
+            first = np.cumsum([0, *(len(bodies[row]) for row in rows)])
+            faces = [k + faces for k, faces in zip(first, of_rows, strict=False)]
+            body = np.repeat(np.arange(begin, end), [len(faces) for faces in of_rows])
+            yield np.concatenate(bodies[begin:end]), np.concatenate(faces), body
+            begin, triangles = end, 0
+
+
+def _arrow(point: np.ndarray, normal: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and faces of a ball at a point and, unless the normal is zero, an arrow along it."""
+    axis = normal if normal.any() else np.array([0.0, 0.0, 1.0])
+    across = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
+    across = across / np.linalg.norm(across)
+    frame = np.stack([across, np.cross(axis, across), axis])
+    angles = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+    polar = np.linspace(np.pi, 0.0, 9)
+    profiles = [[(0.13 * np.sin(angle), 0.13 * np.cos(angle)) for angle in polar]]
+    if normal.any():
+        profiles.append([(0.0, 0.0), (0.035, 0.0), (0.035, 0.7), (0.1, 0.7), (0.0, 1.0)])
+    vertices: list[np.ndarray] = []
+    faces: list[np.ndarray] = []
+    for profile in profiles:
+        first, ring = sum(len(rings) for rings in vertices), np.arange(24)
+        radius, height = np.array(profile).T
+        rings = np.stack(
+            np.broadcast_arrays(radius[:, None] * np.cos(angles), radius[:, None] * np.sin(angles), height[:, None]),
+            axis=-1,
+        )
+        vertices.append(rings.reshape(-1, 3))
+        for level in range(len(profile) - 1):
+            a, b = first + 24 * level + ring, first + 24 * level + (ring + 1) % 24
+            faces += [np.stack([a, b, b + 24], axis=1), np.stack([a, b + 24, a + 24], axis=1)]
+    return point + length * np.concatenate(vertices) @ frame, np.concatenate(faces)
+
+
+def _png(image: np.ndarray) -> bytes:
+    """The file of an image (height, width, 3) uint8: see RFC 2083."""
+
+    def chunk(name: bytes, content: bytes) -> bytes:
+        return struct.pack(">I", len(content)) + name + content + struct.pack(">I", zlib.crc32(name + content))
+
+    height, width, _ = image.shape
+    rows = np.concatenate([np.zeros((height, 1), np.uint8), image.reshape(height, -1)], axis=1)  # 0: no filter
+    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    parts = chunk(b"IHDR", header), chunk(b"IDAT", zlib.compress(rows.tobytes(), 6)), chunk(b"IEND", b"")
+    return b"\x89PNG\r\n\x1a\n" + b"".join(parts)
