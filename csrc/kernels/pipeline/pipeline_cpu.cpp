@@ -30,7 +30,8 @@ class PairSearch {
   ContactRows search() {
     if (narrow_.report == Report::kAll) return search_at_once();
     if (narrow_.report == Report::kEarliest) return search_earliest();
-    return search_until(std::vector<double>(traversal_.pair_count, 1.0));
+    if (narrow_.report == Report::kAny) return search_any();
+    return search_until(std::vector<double>(traversal_.pair_count, 1.0), kAllLeaves);
   }
 
  private:
@@ -44,10 +45,10 @@ class PairSearch {
   // those that may meet first, over the motion until the contacts found so far; among leaves that may meet at once,
   // those with the smallest features first. Bodies that rest against each other have thousands of leaves and contacts
   // at t = 0, of which a few batches find the one to report.
-  ContactRows search_until(std::vector<double> horizon) {
+  ContactRows search_until(std::vector<double> horizon, size_t most_at_start) {
     traversal_.horizon = horizon.data();
     if (wants_first(narrow_.report)) narrow_.latest = horizon.data();
-    FoundLeaves found = find_leaf_pairs(executor_, bodies_, traversal_);
+    FoundLeaves found = find_leaf_pairs(executor_, bodies_, traversal_, most_at_start);
     counts_[kNodeTests] += found.node_tests;
     std::vector<Wanted> left;
     left.reserve(found.pairs.size());
@@ -58,6 +59,10 @@ class PairSearch {
       }
       left.push_back({leaves, 0});
     }
+    ended_early_.clear();
+    for_each_pair(left, [&](size_t begin, size_t end) {
+      if (end - begin >= most_at_start) ended_early_.push_back(left[begin].leaves.pair);
+    });
     order(left);
     ContactRows best;
     for (size_t most = kFirstBatch; !left.empty(); most *= 4) {
@@ -90,6 +95,42 @@ class PairSearch {
 
   // Leaf pairs of a body pair in the first batch; those of most pairs fit into it.
   static constexpr size_t kFirstBatch = 64;
+  // Leaf pairs near at t = 0 after which the first descent for any contact ends: bodies that intersect have hundreds.
+  static constexpr size_t kFewAtStart = 16;
+  static constexpr size_t kAllLeaves = std::numeric_limits<size_t>::max();
+
+  // Some contact of each pair. Descents that ended early without a contact are repeated.
+  ContactRows search_any() {
+    const int64_t count = traversal_.pair_count;
+    ContactRows found = search_until(std::vector<double>(count, 1.0), kFewAtStart);
+    std::vector<char> is_decided(count);
+    for (const int32_t pair : found.pair) is_decided[pair] = 1;
+    std::vector<int32_t> rest;
+    for (const int32_t pair : ended_early_) {
+      if (!is_decided[pair]) rest.push_back(pair);
+    }
+    if (rest.empty()) return found;
+    append_rows(found, search_pairs(rest, 0, rest.size(), 1.0));
+    return by_pair_until(found, std::numeric_limits<double>::infinity());
+  }
+
+  // Of some rows of the pairs.
+  ContactRows search_pairs(const std::vector<int32_t>& rows, size_t begin, size_t count, double until) {
+    const int64_t* const all_pairs = traversal_.pairs;
+    const int64_t all = traversal_.pair_count;
+    std::vector<int64_t> pairs;
+    pairs.reserve(2 * count);
+    for (size_t k = begin; k < begin + count; ++k) {
+      pairs.insert(pairs.end(), {all_pairs[2 * int64_t{rows[k]}], all_pairs[2 * int64_t{rows[k]} + 1]});
+    }
+    traversal_.pairs = narrow_.pairs = pairs.data();
+    traversal_.pair_count = narrow_.pair_count = static_cast<int64_t>(count);
+    ContactRows found = search_until(std::vector<double>(count, until), kAllLeaves);
+    for (int32_t& pair : found.pair) pair = rows[begin + pair];
+    traversal_.pairs = narrow_.pairs = all_pairs;
+    traversal_.pair_count = narrow_.pair_count = all;
+    return found;
+  }
 
   // Calls use(begin, end) for the leaf pairs of each body pair.
   template <class Use>
@@ -130,27 +171,26 @@ class PairSearch {
     return batch;
   }
 
-  // The earliest contact of the scene, and those at the same time. Every batch of pairs, of doubling sizes, is searched
-  // until the earliest contact of those before; pairs that are likely to touch early come first.
+  // The earliest contact of the scene, and those at the same time of pairs before it. Every batch of pairs, of doubling
+  // sizes, is searched until the earliest contact of those before; pairs that are likely to touch early come first.
   ContactRows search_earliest() {
-    const TraverseInput all = traversal_;
-    const std::vector<int32_t> order = likely_order(all);
-    std::vector<int64_t> pairs;
-    pairs.reserve(2 * order.size());
-    for (const int32_t row : order) pairs.insert(pairs.end(), {all.pairs[2 * row], all.pairs[2 * row + 1]});
+    std::vector<int32_t> order = likely_order(traversal_);
     ContactRows found;
     double earliest = std::numeric_limits<double>::infinity();
-    for (int64_t begin = 0, size = 1; begin < all.pair_count; begin += size, size *= 2) {
-      size = std::min(size, all.pair_count - begin);
-      traversal_.pairs = narrow_.pairs = pairs.data() + 2 * begin;
-      traversal_.pair_count = narrow_.pair_count = size;
-      ContactRows rows = search_until(std::vector<double>(size, smaller(earliest, 1.0)));
-      for (int32_t& pair : rows.pair) pair = order[begin + pair];
+    for (size_t begin = 0, size = 1; begin < order.size(); begin += size, size *= 2) {
+      size = std::min(size, order.size() - begin);
+      const ContactRows rows = search_pairs(order, begin, size, smaller(earliest, 1.0));
       for (const double toi : rows.toi) earliest = smaller(earliest, toi);
       append_rows(found, rows);
+      if (earliest > 0.0) continue;
+      // Of contacts at t = 0, that of the first pair is the earliest.
+      int32_t first = std::numeric_limits<int32_t>::max();
+      for (size_t row = 0; row < found.pair.size(); ++row) {
+        if (found.toi[row] == 0.0) first = smaller(first, found.pair[row]);
+      }
+      order.erase(std::remove_if(order.begin() + begin + size, order.end(), [&](int32_t row) { return row > first; }),
+                  order.end());
     }
-    traversal_.pairs = narrow_.pairs = all.pairs;
-    traversal_.pair_count = narrow_.pair_count = all.pair_count;
     return by_pair_until(found, earliest);
   }
 
@@ -201,6 +241,7 @@ class PairSearch {
   TraverseInput traversal_;
   NarrowInput narrow_;
   int64_t* counts_;
+  std::vector<int32_t> ended_early_;  // pairs with as many leaf pairs as a descent may have that ends early
   int64_t narrow_time_ = 0;
 };
 

@@ -6,6 +6,7 @@
 #include "kernels/traverse/leaf_feature_item.h"
 #include "kernels/traverse/leaf_separation.h"
 #include "kernels/traverse/task_queue.cuh"
+#include "kernels/traverse/traverse.h"
 
 namespace pgccd {
 

@@ -84,8 +84,10 @@ struct FoundLeaves {
   std::vector<LeafPair> pairs;  // by body pair
   int64_t node_tests = 0;
 };
+// `most_at_start`: a descent ends once it has found as many that begin at t = 0.
 template <class Bodies>
-FoundLeaves find_leaf_pairs(const Executor& executor, const Bodies& bodies, const TraverseInput& input);
+FoundLeaves find_leaf_pairs(const Executor& executor, const Bodies& bodies, const TraverseInput& input,
+                            size_t most_at_start);
 template <class Bodies>
 CandidateList visit_leaf_pairs(const Executor& executor, const Bodies& bodies, const TraverseInput& input,
                                const std::vector<LeafPair>& leaves);

@@ -252,7 +252,7 @@ float begin_of(const PairTree<Bodies>& tree, NodePair leaves) {
   return kNeverMeet;
 }
 
-// Calls use(leaves) for pairs of leaves; returns the number of node tests.
+// Calls use(leaves) for pairs of leaves, while that returns true; returns the number of node tests.
 template <class Bodies, class Use>
 int64_t descend(const PairTree<Bodies>& tree, NodePair start, Use&& use) {
   if (start.first == 0 && start.second == 0 && !roots_may_meet(tree)) return 0;
@@ -264,7 +264,7 @@ int64_t descend(const PairTree<Bodies>& tree, NodePair start, Use&& use) {
   while (size > 0) {
     const NodePair nodes = stack[--size];
     if (tree.is_leaf_pair(nodes)) {
-      use(nodes);
+      if (!use(nodes)) break;
       continue;
     }
     const SplitPair split = tree.split(nodes);
@@ -299,7 +299,8 @@ Parts<Row> for_each_of_pairs(const Executor& executor, const Bodies& bodies, con
   return parts;
 }
 
-// Calls use(tree, pair, leaves, rows) for the pairs of leaves that the descent of all pairs reaches.
+// Calls use(tree, pair, leaves, rows, count) for the pairs of leaves that the descent of all pairs reaches. A task's
+// descent ends when it returns false; `count` is 0 at the start of each task.
 template <class Row, class Bodies, class Use>
 Parts<Row> descend_all(const Executor& executor, const Bodies& bodies, const TraverseInput& input, int64_t& node_tests,
                        Use&& use) {
@@ -316,7 +317,8 @@ Parts<Row> descend_all(const Executor& executor, const Bodies& bodies, const Tra
   std::atomic<int64_t> tests{node_tests};
   Parts<Row> parts = for_each_of_pairs<Row>(
       executor, bodies, input, tasks, [&](const PairTree<Bodies>& tree, const Task& task, std::vector<Row>& rows) {
-        const auto use_leaves = [&](NodePair leaves) { use(tree, task.pair, leaves, rows); };
+        size_t of_task = 0;
+        const auto use_leaves = [&](NodePair leaves) { return use(tree, task.pair, leaves, rows, of_task); };
         tests.fetch_add(descend(tree, task.nodes, use_leaves), std::memory_order_relaxed);
       });
   node_tests = tests;
@@ -328,7 +330,12 @@ Parts<Row> descend_all(const Executor& executor, const Bodies& bodies, const Tra
 template <class Bodies>
 CandidateList list_candidates(const Executor& executor, const Bodies& bodies, const TraverseInput& input) {
   CandidateList list;
-  list.parts = descend_all<Candidate>(executor, bodies, input, list.node_tests, append_candidates<Bodies>);
+  const auto append = [](const PairTree<Bodies>& tree, int32_t pair, NodePair leaves, std::vector<Candidate>& out,
+                         size_t&) {
+    append_candidates(tree, pair, leaves, out);
+    return true;
+  };
+  list.parts = descend_all<Candidate>(executor, bodies, input, list.node_tests, append);
   return list;
 }
 
@@ -342,13 +349,16 @@ void traverse(const Executor& executor, const Bodies& bodies, const TraverseInpu
 }
 
 template <class Bodies>
-FoundLeaves find_leaf_pairs(const Executor& executor, const Bodies& bodies, const TraverseInput& input) {
+FoundLeaves find_leaf_pairs(const Executor& executor, const Bodies& bodies, const TraverseInput& input,
+                            size_t most_at_start) {
   FoundLeaves found;
-  const auto list_if_meeting = [](const PairTree<Bodies>& tree, int32_t pair, NodePair leaves,
-                                  std::vector<LeafPair>& out) {
+  const auto list_if_meeting = [most_at_start](const PairTree<Bodies>& tree, int32_t pair, NodePair leaves,
+                                               std::vector<LeafPair>& out, size_t& at_start) {
     // Folded surfaces have many leaf pairs that may meet from the start: parts save nothing.
     const float begin = tree.sweep().is_one_body() ? 0.0f : begin_of(tree, leaves);
     if (begin != kNeverMeet) out.push_back({pair, leaves, begin});
+    if (begin == 0.0f) ++at_start;
+    return at_start < most_at_start;
   };
   for (const auto& part : descend_all<LeafPair>(executor, bodies, input, found.node_tests, list_if_meeting)) {
     found.pairs.insert(found.pairs.end(), part.begin(), part.end());
@@ -372,8 +382,8 @@ template void traverse(const Executor&, const RigidBodies&, const TraverseInput&
 template void traverse(const Executor&, const DeformingBodies&, const TraverseInput&, const CandidateOutput&, int64_t*);
 template CandidateList list_candidates(const Executor&, const RigidBodies&, const TraverseInput&);
 template CandidateList list_candidates(const Executor&, const DeformingBodies&, const TraverseInput&);
-template FoundLeaves find_leaf_pairs(const Executor&, const RigidBodies&, const TraverseInput&);
-template FoundLeaves find_leaf_pairs(const Executor&, const DeformingBodies&, const TraverseInput&);
+template FoundLeaves find_leaf_pairs(const Executor&, const RigidBodies&, const TraverseInput&, size_t);
+template FoundLeaves find_leaf_pairs(const Executor&, const DeformingBodies&, const TraverseInput&, size_t);
 template CandidateList visit_leaf_pairs(const Executor&, const RigidBodies&, const TraverseInput&,
                                         const std::vector<LeafPair>&);
 template CandidateList visit_leaf_pairs(const Executor&, const DeformingBodies&, const TraverseInput&,

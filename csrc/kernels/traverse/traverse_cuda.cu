@@ -167,13 +167,17 @@ struct Traversal {
     const TraverseListSizes capacity{rows_of(larger<int64_t>(given.poses, kMaxSegments + 1)), rows_of(given.tasks),
                                      rows_of(given.leaf_pairs), rows_of(given.candidates)};
     const bool in_parts = search && (given.crowded || input_.pair_count >= kManyPairs);
+    // On average, each body pair has more candidates than a first part needs leaves.
     const bool may_be_crowded = search && !given.crowded;
+    const Pairs<Bodies> pairs = pairs_;
     const CandidateSink out = enqueue(capacity, given.launches, in_parts ? search : nullptr, given.crowded);
     const TraverseCounters* seen = counters_;
     const int last = rest_after(given.launches);
     for_each_item(context_, 1, [=] __device__(int64_t) {
       store_traverse_counts(*seen, capacity, last, counts);
-      counts[kCrowded] = may_be_crowded && !fits(seen->candidates.sum(), capacity.candidates) ? 1 : 0;
+      const Counter found = seen->candidates.sum();
+      counts[kCrowded] =
+          may_be_crowded && !fits(found, capacity.candidates) && found / kFirstLeaves > Counter(pairs.given());
       counts[kTraverseEnded] = nanoseconds() - seen->search_time;
     });
     return span(out, in_parts ? &counters_->searched_candidates : &counters_->no_candidates);
