@@ -50,6 +50,7 @@ class PairSearch {
     if (wants_first(narrow_.report)) narrow_.latest = horizon.data();
     FoundLeaves found = find_leaf_pairs(executor_, bodies_, traversal_, most_at_start);
     counts_[kNodeTests] += found.node_tests;
+    const std::vector<double> descended = horizon;
     std::vector<Wanted> left;
     left.reserve(found.pairs.size());
     for (LeafPair& leaves : found.pairs) {
@@ -66,7 +67,11 @@ class PairSearch {
     order(left);
     ContactRows best;
     for (size_t most = kFirstBatch; !left.empty(); most *= 4) {
-      const std::vector<LeafPair> batch = take_batch(left, most, most == kFirstBatch);
+      std::vector<LeafPair> batch = take_batch(left, most, most == kFirstBatch);
+      // Over a shorter motion leaves may stay apart that have met over a longer one.
+      for (LeafPair& leaves : batch) {
+        if (horizon[leaves.pair] < descended[leaves.pair]) leaves.begin = kUnknownBegin;
+      }
       best = first_of_each_pair(best, solve(visit_leaf_pairs(executor_, bodies_, traversal_, batch)), horizon);
       std::vector<FirstFeature> known(traversal_.pair_count, kNoFeature);
       for (size_t row = 0; row < best.pair.size(); ++row) {

@@ -123,9 +123,10 @@ uint32_t triangles_reaching(const PairTree<Bodies>& tree, const MovingPoints<3, 
   return ((1u << count) - 1u) & ~lane_bits(stays_out(triangles, centre, reach));
 }
 
-// One triangle of the first leaf against all of the second's at a time.
+// One triangle of the first leaf against all of the second's at a time. `begin`: the time until which the leaves
+// certainly stay apart, or negative.
 template <class Bodies, class Emit>
-void visit_leaves(const PairTree<Bodies>& tree, NodePair leaves, Emit&& emit) {
+void visit_leaves(const PairTree<Bodies>& tree, NodePair leaves, float begin, Emit&& emit) {
   const NodeLink first = tree.link(0, leaves.first), second = tree.link(1, leaves.second);
   if (first.triangle_count < 0 || second.triangle_count < 0) return;
   const auto triangles = [&](int side) { return tree.bodies().meshes.triangles + tree.sweep().first_face[side]; };
@@ -143,7 +144,7 @@ void visit_leaves(const PairTree<Bodies>& tree, NodePair leaves, Emit&& emit) {
     if (reaching_j == 0) continue;
     // On a device this test comes first; on the host it is slower than the tests above.
     if (!is_near) {
-      const float begin = leaves_free_until<Float8>(tree, leaves);
+      if (begin < 0.0f) begin = leaves_free_until<Float8>(tree, leaves);
       if (begin == kNeverMeet) return;
       may_start_near = !(begin > 0.0f) && tree.sweep().start_distance >= 0.0f;
     }
@@ -276,8 +277,9 @@ int64_t descend(const PairTree<Bodies>& tree, NodePair start, Use&& use) {
 
 // Appends the candidates of a pair of leaves.
 template <class Bodies>
-void append_candidates(const PairTree<Bodies>& tree, int32_t pair, NodePair leaves, std::vector<Candidate>& out) {
-  visit_leaves(tree, leaves, [&](FeatureKind kind, int32_t feature_i, int32_t feature_j) {
+void append_candidates(const PairTree<Bodies>& tree, int32_t pair, NodePair leaves, float begin,
+                       std::vector<Candidate>& out) {
+  visit_leaves(tree, leaves, begin, [&](FeatureKind kind, int32_t feature_i, int32_t feature_j) {
     out.push_back({pair, static_cast<int32_t>(kind), feature_i, feature_j});
   });
 }
@@ -332,7 +334,7 @@ CandidateList list_candidates(const Executor& executor, const Bodies& bodies, co
   CandidateList list;
   const auto append = [](const PairTree<Bodies>& tree, int32_t pair, NodePair leaves, std::vector<Candidate>& out,
                          size_t&) {
-    append_candidates(tree, pair, leaves, out);
+    append_candidates(tree, pair, leaves, kUnknownBegin, out);
     return true;
   };
   list.parts = descend_all<Candidate>(executor, bodies, input, list.node_tests, append);
@@ -355,9 +357,9 @@ FoundLeaves find_leaf_pairs(const Executor& executor, const Bodies& bodies, cons
   const auto list_if_meeting = [most_at_start](const PairTree<Bodies>& tree, int32_t pair, NodePair leaves,
                                                std::vector<LeafPair>& out, size_t& at_start) {
     // Folded surfaces have many leaf pairs that may meet from the start: parts save nothing.
-    const float begin = tree.sweep().is_one_body() ? 0.0f : begin_of(tree, leaves);
+    const float begin = tree.sweep().is_one_body() ? kUnknownBegin : begin_of(tree, leaves);
     if (begin != kNeverMeet) out.push_back({pair, leaves, begin});
-    if (begin == 0.0f) ++at_start;
+    if (!(begin > 0.0f)) ++at_start;
     return at_start < most_at_start;
   };
   for (const auto& part : descend_all<LeafPair>(executor, bodies, input, found.node_tests, list_if_meeting)) {
@@ -373,7 +375,7 @@ CandidateList visit_leaf_pairs(const Executor& executor, const Bodies& bodies, c
   list.parts =
       for_each_of_pairs<Candidate>(executor, bodies, input, leaves,
                                    [](const PairTree<Bodies>& tree, const LeafPair& item, std::vector<Candidate>& out) {
-                                     append_candidates(tree, item.pair, item.leaves, out);
+                                     append_candidates(tree, item.pair, item.leaves, item.begin, out);
                                    });
   return list;
 }
