@@ -6,7 +6,7 @@
 
 #include <bit>
 
-#include "kernels/traverse/pair_item.h"
+#include "kernels/traverse/time_spans.h"
 
 namespace pgccd {
 
@@ -138,15 +138,54 @@ class LeafSeparation {
 
 // The time until which the leaves certainly stay apart, as part of the step; kNeverMeet if over the whole step.
 constexpr float kNeverMeet = 2.0f;
+
+namespace separation_detail {
+
+// Whether the leaves certainly stay apart over segment k. Otherwise `free_part` is the first part of it in which they
+// do.
+template <class T, class Bodies>
+PGCCD_HD bool leaves_stay_apart(const PairTree<Bodies>& tree, NodePair leaves, int k, float& free_part) {
+  const LeafSeparation<T, Bodies> separation(tree, leaves, k);
+  Vec3<float> reached = separation.between_spheres();
+  free_part = 0.0f;
+  for (int step = 0; step < kSeparationSteps; ++step) {
+    if (separation.is_along(reached, free_part)) return true;
+  }
+  return false;
+}
+
+// The time until which the leaves of a pair that turns fast stay apart, of a range of its segments.
+template <class T>
+PGCCD_HD_RARE float leaves_free_while_turning(const PairTree<RigidBodies>& tree, NodePair leaves, TimeSpan range) {
+  SpanWalk walk(range);
+  while (!walk.is_over()) {
+    const SpanTree over(tree, walk.span());
+    float free_part;
+    if (leaves_stay_apart<T>(over.tree(), leaves, 1, free_part)) {
+      walk.next();
+    } else if (!walk.divide()) {
+      return time_in_step(walk.span().end, free_part, tree.sweep().segment_count);
+    }
+  }
+  return kNeverMeet;
+}
+template <class T>
+PGCCD_HD float leaves_free_while_turning(const PairTree<DeformingBodies>&, NodePair, TimeSpan) {
+  return 0.0f;
+}
+
+}  // namespace separation_detail
+
 template <class T, class Bodies>
 PGCCD_HD float leaves_free_until(const PairTree<Bodies>& tree, NodePair leaves) {
-  for (int k = 1; k <= tree.sweep().segment_count; ++k) {
-    const LeafSeparation<T, Bodies> separation(tree, leaves, k);
-    Vec3<float> reached = separation.between_spheres();
-    float free_part = 0.0f;
-    bool apart = false;
-    for (int step = 0; step < kSeparationSteps && !apart; ++step) apart = separation.is_along(reached, free_part);
-    if (!apart) return separation.free_until(free_part);
+  const int segments = tree.sweep().segment_count;
+  if (tree.sweep().turns_fast()) {
+    return separation_detail::leaves_free_while_turning<T>(tree, leaves, {0, segments});
+  }
+  for (int k = 1; k <= segments; ++k) {
+    float free_part;
+    if (separation_detail::leaves_stay_apart<T>(tree, leaves, k, free_part)) continue;
+    return separation_detail::time_in_step(k, free_part, segments);
   }
   return kNeverMeet;
 }

@@ -70,7 +70,7 @@ __global__ void __launch_bounds__(kBlockThreads)
     if (lane >= rows) continue;
     uint32_t begin = static_cast<uint32_t>(kPosesAtHand * pair);
     const LocalPose* poses = out.poses + begin;
-    if (sweep.segment_count >= kPosesAtHand) {
+    if (sweep.last_pose() >= kPosesAtHand) {
       const Counter place = warp_append(&counters->poses, static_cast<uint32_t>(sweep.segment_count) + 1u);
       // Clamp to valid rows; the overflow flag discards the result.
       const bool has_rows = has_place(place + sweep.segment_count, pairs.pose_capacity);

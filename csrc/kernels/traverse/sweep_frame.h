@@ -11,7 +11,8 @@
 
 namespace pgccd {
 
-constexpr int kMaxSegments = 64;
+// Poses at the boundaries of up to so many segments are stored; of more they are computed where they are needed.
+constexpr int kStoredSegments = 64;
 
 // Everything is below 1 in the local frame: matrix entries, products, sums, the moving-sphere test and the separating
 // directions together stay below 64 units of float32 rounding.
@@ -68,6 +69,12 @@ PGCCD_HD double local_scale(const BodyCentres& centres, int64_t i, int64_t j, do
 
 PGCCD_HD double kept_distance(const BodyCentres& centres, int64_t i, int64_t j, const SweepSettings& settings) {
   return pair_separation(centres, i, j, settings.separation) + pair_tolerance(centres, i, j, settings.tolerance);
+}
+
+// For bodies that turn by this angle.
+PGCCD_HD double most_segments(double angle) {
+  constexpr double kPerRadian = 32.0, kMost = 1 << 24;
+  return smaller(larger(kPerRadian * angle, static_cast<double>(kStoredSegments)), kMost);
 }
 
 PGCCD_HD float rounded_up(double x) { return static_cast<float>(x) * (1.0f + 2.0f * Precision<float>::unit); }
