@@ -64,11 +64,67 @@ class PairSearch {
     return solve(list);
   }
 
-  // One contact of each pair until a time: the first one, unless any will do. Leaves are searched in batches, first
+  // One contact of each pair until a time: the first one, unless any will do. Pairs that turn fast are at first
+  // searched over a part of that time that needs no more segments than those of other pairs, then over four times that
+  // part, until they have a contact.
+  ContactRows search_until(const std::vector<double>& horizon) {
+    std::vector<double> until(horizon.size());
+    std::vector<int32_t> open;
+    for (size_t pair = 0; pair < horizon.size(); ++pair) {
+      until[pair] = time_of_few_segments(static_cast<int64_t>(pair), horizon[pair]);
+      if (until[pair] < horizon[pair]) open.push_back(static_cast<int32_t>(pair));
+    }
+    ContactRows found = search_part(until);
+    if (open.empty()) return found;
+    const TraverseInput all = traversal_;
+    for (;;) {
+      for (const int32_t pair : found.pair) until[pair] = horizon[pair];
+      std::erase_if(open, [&](int32_t pair) { return !(until[pair] < horizon[pair]); });
+      if (open.empty()) return by_pair_until(found, std::numeric_limits<double>::infinity());
+      std::vector<int64_t> pairs;
+      std::vector<double> parts;
+      for (const int32_t pair : open) {
+        until[pair] = smaller(4.0 * until[pair], horizon[pair]);
+        parts.push_back(until[pair]);
+        pairs.insert(pairs.end(), {all.pairs[2 * pair], all.pairs[2 * pair + 1]});
+      }
+      ContactRows rows = search_pairs(pairs, parts);
+      for (int32_t& pair : rows.pair) pair = open[pair];
+      append_rows(found, rows);
+      traversal_.pairs = narrow_.pairs = all.pairs;
+      traversal_.pair_count = narrow_.pair_count = all.pair_count;
+    }
+  }
+
+  // As search_part, of other pairs, which stay those of this search.
+  ContactRows search_pairs(const std::vector<int64_t>& pairs, const std::vector<double>& horizon) {
+    traversal_.pairs = narrow_.pairs = pairs.data();
+    traversal_.pair_count = narrow_.pair_count = static_cast<int64_t>(horizon.size());
+    return search_part(horizon);
+  }
+
+  // The part of a time for which a pair needs a sweep of few segments.
+  double time_of_few_segments(int64_t pair, double horizon) const {
+    if constexpr (std::is_same_v<Bodies, RigidBodies>) {
+      const int64_t i = traversal_.pairs[2 * pair], j = traversal_.pairs[2 * pair + 1];
+      if (!is_within(i, bodies_.centres.count) || !is_within(j, bodies_.centres.count)) return horizon;
+      const auto turn = [&](int64_t body) { return norm_squared(load_vec3(bodies_.rotation + 3 * body)); };
+      // Slower ones need no sweep to tell.
+      if (!(sweep_detail::most_segments(horizon * std::sqrt(larger(turn(i), turn(j)))) > kStoredSegments)) {
+        return horizon;
+      }
+      if (!is_sound(bodies_, i) || !is_sound(bodies_, j)) return horizon;
+      const RigidSweep sweep(bodies_, i, j, traversal_.settings, horizon);
+      return sweep.turns_fast() ? horizon * kStoredSegments / sweep.segment_count : horizon;
+    }
+    return horizon;
+  }
+
+  // Leaves are searched in batches, first
   // those that may meet first, over the motion until the contacts found so far; among leaves that may meet at once,
   // those with the smallest features first. Bodies that rest against each other have thousands of leaves and contacts
   // at t = 0, of which a few batches find the one to report.
-  ContactRows search_until(std::vector<double> horizon) {
+  ContactRows search_part(std::vector<double> horizon) {
     traversal_.horizon = horizon.data();
     if (wants_first(narrow_.report)) narrow_.latest = horizon.data();
     FoundLeaves found = find_leaf_pairs(executor_, bodies_, traversal_);
