@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mutants_of.mutant import LOCAL_ROUNDING, ON_SUPPORTS, ON_TRAVERSE, TRAVERSE, Mutant
+from mutants_of.mutant import LOCAL_ROUNDING, ON_FAST_SPINS, ON_SUPPORTS, ON_TRAVERSE, TRAVERSE, Mutant
 
 MUTANTS = [
     Mutant(
@@ -232,6 +232,41 @@ MUTANTS = [
         "scale * b.low[slot]",
         "0.999f * (scale * b.low[slot])",
         ON_TRAVERSE,
+    ),
+    Mutant(
+        "span-deviation-in-proportion",
+        TRAVERSE + "rigid_sweep.h",
+        "(length * length - 1.0f) * segment_deviation",
+        "(length - 1.0f) * segment_deviation",
+        ON_FAST_SPINS,
+    ),
+    Mutant(
+        "span-deviation-0.9",
+        TRAVERSE + "rigid_sweep.h",
+        "(length * length - 1.0f) * segment_deviation",
+        "0.9f * ((length * length - 1.0f) * segment_deviation)",
+        ON_FAST_SPINS,
+    ),
+    Mutant(
+        "span-growth-of-one-segment",
+        TRAVERSE + "rigid_sweep.h",
+        "smaller(length * its_growth, 1.0f)",
+        "its_growth",
+        ON_FAST_SPINS,
+    ),
+    Mutant(
+        "span-ends-early",
+        TRAVERSE + "time_spans.h",
+        "tree.sweep().pose(bodies_, span.end)",
+        "tree.sweep().pose(bodies_, span.begin + 1)",
+        ON_FAST_SPINS,
+    ),
+    Mutant(
+        "leaves-begin-windows-late",
+        TRAVERSE + "time_windows.h",
+        "static_cast<int>(segment / window_length(tree)) - 1",
+        "static_cast<int>(segment / window_length(tree)) + 1",
+        ON_FAST_SPINS,
     ),
     Mutant(
         "first-segments-only",

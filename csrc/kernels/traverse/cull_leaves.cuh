@@ -55,7 +55,8 @@ __global__ void __launch_bounds__(kBlockThreads)
       const PairTree<Bodies> tree = pairs.tree(item.pair);
       if (tree.sweep().turns_fast()) {  // at once: few pairs do
         is_busy = false;
-        item.begin = leaves_free_until<float>(tree, item.leaves);
+        item.begin =
+            separation_detail::leaves_free_while_turning<float>(tree, item.leaves, {0, tree.sweep().segment_count});
         meets = item.begin != kNeverMeet;
       } else {
         const LeafSeparation<float, Bodies> separation(tree, item.leaves, k);
