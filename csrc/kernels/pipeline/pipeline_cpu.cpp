@@ -115,15 +115,14 @@ class PairSearch {
       }
       if (!is_sound(bodies_, i) || !is_sound(bodies_, j)) return horizon;
       const RigidSweep sweep(bodies_, i, j, traversal_.settings, horizon);
-      return sweep.turns_fast() ? horizon * kStoredSegments / sweep.segment_count : horizon;
+      return sweep.turns_fast() ? horizon * (kStoredSegments - 1) / sweep.segment_count : horizon;
     }
     return horizon;
   }
 
-  // Leaves are searched in batches, first
-  // those that may meet first, over the motion until the contacts found so far; among leaves that may meet at once,
-  // those with the smallest features first. Bodies that rest against each other have thousands of leaves and contacts
-  // at t = 0, of which a few batches find the one to report.
+  // Leaves are searched in batches, first those that may meet first, over the motion until the contacts found so far;
+  // among leaves that may meet at once, those with the smallest features first. Bodies that rest against each other
+  // have thousands of leaves and contacts at t = 0, of which a few batches find the one to report.
   ContactRows search_part(std::vector<double> horizon) {
     traversal_.horizon = horizon.data();
     if (wants_first(narrow_.report)) narrow_.latest = horizon.data();

@@ -8,6 +8,7 @@
 #include "core/bodies.h"
 #include "core/lanes.h"
 #include "core/rounding.h"
+#include "core/trig.h"
 
 namespace pgccd {
 
@@ -71,10 +72,11 @@ PGCCD_HD double kept_distance(const BodyCentres& centres, int64_t i, int64_t j, 
   return pair_separation(centres, i, j, settings.separation) + pair_tolerance(centres, i, j, settings.tolerance);
 }
 
-// For bodies that turn by this angle.
+// For bodies that turn by this angle; of invalid poses no more than of others. Below 2^24: exact as floats.
 PGCCD_HD double most_segments(double angle) {
-  constexpr double kPerRadian = 32.0, kMost = 1 << 24;
-  return smaller(larger(kPerRadian * angle, static_cast<double>(kStoredSegments)), kMost);
+  constexpr double kPerRadian = 16.0;
+  static_assert(kPerRadian * kLargestAngle < 0x1p24);
+  return angle <= kLargestAngle ? larger(kPerRadian * angle, static_cast<double>(kStoredSegments)) : kStoredSegments;
 }
 
 PGCCD_HD float rounded_up(double x) { return static_cast<float>(x) * (1.0f + 2.0f * Precision<float>::unit); }
