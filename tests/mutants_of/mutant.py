@@ -46,6 +46,7 @@ ON_MARGIN = ("detection/test_margin.py",)
 ON_CROSSING = ("detection/test_intersecting.py",)
 ON_SIZES = ("detection/test_unequal_sizes.py",)
 ON_SUPPORTS = ("kernels/test_node_supports.py",)
+ON_FAST_SPINS = ("detection/test_fast_spins.py",)
 
 LOCAL_ROUNDING = "kLocalRounding, 64 units of the whole local frame, includes it"
 SPARE = "covered by the 32 units of the extent, of which the projected gap needs at most 12"

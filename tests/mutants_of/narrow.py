@@ -480,7 +480,7 @@ MUTANTS = [
     ),
     Mutant(
         "start-of-leaves-apart",
-        TRAVERSE + "traverse_cpu.cpp",
+        TRAVERSE + "visit_leaves_host.h",
         "!(begin > 0.0f)",
         "begin < 0.0f",
         ON_CROSSING,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mutants_of.mutant import LOCAL_ROUNDING, ON_SUPPORTS, ON_TRAVERSE, TRAVERSE, Mutant
+from mutants_of.mutant import LOCAL_ROUNDING, ON_FAST_SPINS, ON_SUPPORTS, ON_TRAVERSE, TRAVERSE, Mutant
 
 MUTANTS = [
     Mutant(
@@ -234,27 +234,60 @@ MUTANTS = [
         ON_TRAVERSE,
     ),
     Mutant(
+        "span-deviation-in-proportion",
+        TRAVERSE + "rigid_sweep.h",
+        "(length * length - 1.0f) * segment_deviation",
+        "(length - 1.0f) * segment_deviation",
+        ON_FAST_SPINS,
+    ),
+    Mutant(
+        "span-deviation-0.9",
+        TRAVERSE + "rigid_sweep.h",
+        "(length * length - 1.0f) * segment_deviation",
+        "0.9f * ((length * length - 1.0f) * segment_deviation)",
+        ON_FAST_SPINS,
+    ),
+    Mutant(
+        "span-growth-of-one-segment",
+        TRAVERSE + "rigid_sweep.h",
+        "smaller(length * its_growth, 1.0f)",
+        "its_growth",
+        ON_FAST_SPINS,
+    ),
+    Mutant(
+        "span-ends-early",
+        TRAVERSE + "time_spans.h",
+        "tree.sweep().pose(bodies_, span.end)",
+        "tree.sweep().pose(bodies_, span.begin + 1)",
+        ON_FAST_SPINS,
+    ),
+    Mutant(
+        "leaves-begin-windows-late",
+        TRAVERSE + "time_windows.h",
+        "static_cast<int>(segment / window_length(tree)) - 1",
+        "static_cast<int>(segment / window_length(tree)) + 1",
+        ON_FAST_SPINS,
+    ),
+    Mutant(
         "first-segments-only",
         TRAVERSE + "traverse_cpu.cpp",
         "tree.sweep().segment_count",
         "larger(1, tree.sweep().segment_count - 1)",
         ON_TRAVERSE,
-        within="uint32_t meeting = 0;\n  for (int k = 1; k <= tree.sweep().segment_count; ++k)",
     ),
     Mutant(
         "leaf-ball-0.999",
-        TRAVERSE + "traverse_cpu.cpp",
+        TRAVERSE + "visit_leaves_host.h",
         "tree.local_radius(1 - side, other_leaf) + tree.sweep().inflation",
         "0.999f * (tree.local_radius(1 - side, other_leaf) + tree.sweep().inflation)",
         ON_TRAVERSE,
     ),
     Mutant(
         "leaf-distance-0.999",
-        TRAVERSE + "traverse_cpu.cpp",
-        "tree.sweep().inflation",
-        "0.999f * tree.sweep().inflation",
+        TRAVERSE + "visit_leaves_host.h",
+        "over.sweep().inflation",
+        "0.999f * over.sweep().inflation",
         ON_TRAVERSE,
-        within="const float distance = tree.sweep().inflation;",
     ),
     Mutant(
         "triangles-distance-rounding",
@@ -355,6 +388,7 @@ MUTANTS = [
         "tree.sweep().segment_count",
         "larger(1, tree.sweep().segment_count - 1)",
         ON_SUPPORTS,
+        within="for (int k = 1; k <= tree.sweep().segment_count; ++k)",
     ),
     Mutant(
         "support-sample-to-nearest",

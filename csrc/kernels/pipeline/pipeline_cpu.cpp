@@ -2,6 +2,7 @@
 #include <cmath>
 #include <limits>
 #include <numeric>
+#include <span>
 #include <tuple>
 
 #include "kernels/pipeline/pipeline.h"
@@ -41,16 +42,74 @@ class PairSearch {
     return solve(list);
   }
 
-  // One contact of each pair until a time: the first one, unless any will do. Leaves are searched in batches, first
-  // those that may meet first, over the motion until the contacts found so far; among leaves that may meet at once,
-  // those with the smallest features first. Bodies that rest against each other have thousands of leaves and contacts
-  // at t = 0, of which a few batches find the one to report.
-  ContactRows search_until(std::vector<double> horizon, size_t most_at_start) {
+  // One contact of each pair until a time: the first one, unless any will do. Pairs that turn fast are at first
+  // searched over a part of that time that needs no more segments than those of other pairs, then over four times that
+  // part, until they have a contact.
+  ContactRows search_until(const std::vector<double>& horizon, size_t most_at_start) {
+    std::vector<double> until(horizon.size());
+    std::vector<int32_t> open;
+    for (size_t pair = 0; pair < horizon.size(); ++pair) {
+      until[pair] = time_of_few_segments(static_cast<int64_t>(pair), horizon[pair]);
+      if (until[pair] < horizon[pair]) open.push_back(static_cast<int32_t>(pair));
+    }
+    ContactRows found = search_part(until, most_at_start);
+    while (!open.empty()) {
+      for (const int32_t pair : found.pair) until[pair] = horizon[pair];
+      std::erase_if(open, [&](int32_t pair) { return !(until[pair] < horizon[pair]); });
+      std::vector<double> parts;
+      for (const int32_t pair : open) {
+        until[pair] = smaller(4.0 * until[pair], horizon[pair]);
+        parts.push_back(until[pair]);
+      }
+      append_rows(found, of_pairs(open, [&] { return search_part(parts, kAllLeaves); }));
+      if (open.empty()) return by_pair_until(found, std::numeric_limits<double>::infinity());
+    }
+    return found;
+  }
+
+  // The contacts that search() finds of some of the pairs.
+  template <class Search>
+  ContactRows of_pairs(std::span<const int32_t> some, Search&& search) {
+    const int64_t *const traversed = traversal_.pairs, *const solved = narrow_.pairs;
+    const int64_t count = traversal_.pair_count;
+    std::vector<int64_t> pairs;
+    pairs.reserve(2 * some.size());
+    for (const int32_t pair : some) pairs.insert(pairs.end(), traversed + 2 * pair, traversed + 2 * pair + 2);
+    traversal_.pairs = narrow_.pairs = pairs.data();
+    traversal_.pair_count = narrow_.pair_count = static_cast<int64_t>(some.size());
+    ContactRows found = search();
+    for (int32_t& pair : found.pair) pair = some[pair];
+    traversal_.pairs = traversed;
+    narrow_.pairs = solved;
+    traversal_.pair_count = narrow_.pair_count = count;
+    return found;
+  }
+
+  // The part of a time for which a pair needs a sweep of few segments.
+  double time_of_few_segments(int64_t pair, double horizon) const {
+    if constexpr (std::is_same_v<Bodies, RigidBodies>) {
+      const int64_t i = traversal_.pairs[2 * pair], j = traversal_.pairs[2 * pair + 1];
+      if (!is_within(i, bodies_.centres.count) || !is_within(j, bodies_.centres.count)) return horizon;
+      const auto turn = [&](int64_t body) { return norm_squared(load_vec3(bodies_.rotation + 3 * body)); };
+      // Slower ones need no sweep to tell.
+      if (!(sweep_detail::most_segments(horizon * std::sqrt(larger(turn(i), turn(j)))) > kStoredSegments)) {
+        return horizon;
+      }
+      if (!is_sound(bodies_, i) || !is_sound(bodies_, j)) return horizon;
+      const RigidSweep sweep(bodies_, i, j, traversal_.settings, horizon);
+      return sweep.turns_fast() ? horizon * (kStoredSegments - 1) / sweep.segment_count : horizon;
+    }
+    return horizon;
+  }
+
+  // Leaves are searched in batches, first those that may meet first, over the motion until the contacts found so far;
+  // among leaves that may meet at once, those with the smallest features first. Bodies that rest against each other
+  // have thousands of leaves and contacts at t = 0, of which a few batches find the one to report.
+  ContactRows search_part(std::vector<double> horizon, size_t most_at_start) {
     traversal_.horizon = horizon.data();
     if (wants_first(narrow_.report)) narrow_.latest = horizon.data();
     FoundLeaves found = find_leaf_pairs(executor_, bodies_, traversal_, most_at_start);
     counts_[kNodeTests] += found.node_tests;
-    const std::vector<double> descended = horizon;
     std::vector<Wanted> left;
     left.reserve(found.pairs.size());
     for (LeafPair& leaves : found.pairs) {
@@ -60,19 +119,17 @@ class PairSearch {
       }
       left.push_back({leaves, 0});
     }
-    ended_early_.clear();
-    for_each_pair(left, [&](size_t begin, size_t end) {
-      if (end - begin >= most_at_start) ended_early_.push_back(left[begin].leaves.pair);
-    });
+    if (most_at_start != kAllLeaves) {
+      for_each_pair(left, [&](size_t begin, size_t end) {
+        if (end - begin >= most_at_start) ended_early_.push_back(left[begin].leaves.pair);
+      });
+    }
     order(left);
     ContactRows best;
     for (size_t most = kFirstBatch; !left.empty(); most *= 4) {
-      std::vector<LeafPair> batch = take_batch(left, most, most == kFirstBatch);
-      // Over a shorter motion leaves may stay apart that have met over a longer one.
-      for (LeafPair& leaves : batch) {
-        if (horizon[leaves.pair] < descended[leaves.pair]) leaves.begin = kUnknownBegin;
-      }
-      best = first_of_each_pair(best, solve(visit_leaf_pairs(executor_, bodies_, traversal_, batch)), horizon);
+      const std::vector<LeafPair> batch = take_batch(left, most, most == kFirstBatch);
+      const CandidateList listed = visit_leaf_pairs(executor_, bodies_, traversal_, batch, most == kFirstBatch);
+      best = first_of_each_pair(best, solve(listed), horizon);
       std::vector<FirstFeature> known(traversal_.pair_count, kNoFeature);
       for (size_t row = 0; row < best.pair.size(); ++row) {
         const int32_t pair = best.pair[row];
@@ -106,35 +163,15 @@ class PairSearch {
 
   // Some contact of each pair. Descents that ended early without a contact are repeated.
   ContactRows search_any() {
-    const int64_t count = traversal_.pair_count;
-    ContactRows found = search_until(std::vector<double>(count, 1.0), kFewAtStart);
-    std::vector<char> is_decided(count);
+    const auto until_end = [](size_t pairs) { return std::vector<double>(pairs, 1.0); };
+    ContactRows found = search_until(until_end(traversal_.pair_count), kFewAtStart);
+    std::vector<char> is_decided(traversal_.pair_count);
     for (const int32_t pair : found.pair) is_decided[pair] = 1;
-    std::vector<int32_t> rest;
-    for (const int32_t pair : ended_early_) {
-      if (!is_decided[pair]) rest.push_back(pair);
-    }
-    if (rest.empty()) return found;
-    append_rows(found, search_pairs(rest, 0, rest.size(), 1.0));
+    std::erase_if(ended_early_, [&](int32_t pair) { return is_decided[pair] != 0; });
+    if (ended_early_.empty()) return found;
+    append_rows(found,
+                of_pairs(ended_early_, [&] { return search_until(until_end(ended_early_.size()), kAllLeaves); }));
     return by_pair_until(found, std::numeric_limits<double>::infinity());
-  }
-
-  // Of some rows of the pairs.
-  ContactRows search_pairs(const std::vector<int32_t>& rows, size_t begin, size_t count, double until) {
-    const int64_t* const all_pairs = traversal_.pairs;
-    const int64_t all = traversal_.pair_count;
-    std::vector<int64_t> pairs;
-    pairs.reserve(2 * count);
-    for (size_t k = begin; k < begin + count; ++k) {
-      pairs.insert(pairs.end(), {all_pairs[2 * int64_t{rows[k]}], all_pairs[2 * int64_t{rows[k]} + 1]});
-    }
-    traversal_.pairs = narrow_.pairs = pairs.data();
-    traversal_.pair_count = narrow_.pair_count = static_cast<int64_t>(count);
-    ContactRows found = search_until(std::vector<double>(count, until), kAllLeaves);
-    for (int32_t& pair : found.pair) pair = rows[begin + pair];
-    traversal_.pairs = narrow_.pairs = all_pairs;
-    traversal_.pair_count = narrow_.pair_count = all;
-    return found;
   }
 
   // Calls use(begin, end) for the leaf pairs of each body pair.
@@ -184,7 +221,9 @@ class PairSearch {
     double earliest = std::numeric_limits<double>::infinity();
     for (size_t begin = 0, size = 1; begin < order.size(); begin += size, size *= 2) {
       size = std::min(size, order.size() - begin);
-      const ContactRows rows = search_pairs(order, begin, size, smaller(earliest, 1.0));
+      const ContactRows rows = of_pairs({order.data() + begin, size}, [&] {
+        return search_until(std::vector<double>(size, smaller(earliest, 1.0)), kAllLeaves);
+      });
       for (const double toi : rows.toi) earliest = smaller(earliest, toi);
       append_rows(found, rows);
       if (earliest > 0.0) continue;
@@ -246,7 +285,7 @@ class PairSearch {
   TraverseInput traversal_;
   NarrowInput narrow_;
   int64_t* counts_;
-  std::vector<int32_t> ended_early_;  // pairs with as many leaf pairs as a descent may have that ends early
+  std::vector<int32_t> ended_early_;  // pairs whose descent may have ended early
   int64_t narrow_time_ = 0;
 };
 

@@ -66,20 +66,27 @@ __global__ void __launch_bounds__(kBlockThreads)
     bool meets = false;
     if (is_busy) {
       const PairTree<Bodies> tree = pairs.tree(item.pair);
-      const LeafSeparation<float, Bodies> separation(tree, item.leaves, k);
-      if (step == 0) reached = separation.between_spheres();
-      ++step;
-      if (separation.is_along(reached, free_part)) {
-        is_busy = k < tree.sweep().segment_count;
-        ++k;
-        step = 0;
-        free_part = 0.0f;
-      } else if (step == kSeparationSteps) {
+      if (tree.sweep().turns_fast()) {  // at once: few pairs do
         is_busy = false;
-        meets = true;
-        item.begin = separation.free_until(free_part);
-        if (earliest != nullptr) atomicMin(earliest + item.pair, __float_as_uint(item.begin));
+        item.begin =
+            separation_detail::leaves_free_while_turning<float>(tree, item.leaves, {0, tree.sweep().segment_count});
+        meets = item.begin != kNeverMeet;
+      } else {
+        const LeafSeparation<float, Bodies> separation(tree, item.leaves, k);
+        if (step == 0) reached = separation.between_spheres();
+        ++step;
+        if (separation.is_along(reached, free_part)) {
+          is_busy = k < tree.sweep().segment_count;
+          ++k;
+          step = 0;
+          free_part = 0.0f;
+        } else if (step == kSeparationSteps) {
+          is_busy = false;
+          meets = true;
+          item.begin = separation.free_until(free_part);
+        }
       }
+      if (meets && earliest != nullptr) atomicMin(earliest + item.pair, __float_as_uint(item.begin));
     }
     waiting = buffer.add(waiting, __ballot_sync(kAllLanes, meets), item, lane, meeting.count, put);
   }

@@ -12,7 +12,7 @@ struct alignas(16) DeformingSweep : PairFrame {
   static constexpr int segment_count = 1;
 
   PGCCD_HD DeformingSweep(const DeformingBodies& bodies, int64_t i, int64_t j, const SweepSettings& settings,
-                          double until)
+                          double until, int /*least_segments*/ = 1)
       : PairFrame(bodies, i, j, until, sweep_detail::largest_coordinate(relative_centre(bodies.centres, i, j))) {
     for (int side = 0; side < 2; ++side) blocks_at_t1[side] = bodies.blocks_t1 + bodies.block_begin[body[side]];
     const double distance = sweep_detail::kept_distance(bodies.centres, i, j, settings);
@@ -24,6 +24,8 @@ struct alignas(16) DeformingSweep : PairFrame {
   static constexpr bool may_be_one_body = true;
   static constexpr bool has_supports = false;
   PGCCD_HD bool is_one_body() const { return body[0] == body[1]; }
+  PGCCD_HD static constexpr bool turns_fast() { return false; }
+  PGCCD_HD static constexpr int last_pose() { return segment_count; }
 
   PGCCD_HD LocalPose pose(const DeformingBodies& bodies, int k) const {
     const RelativeCentre centre = relative_centre(bodies.centres, body[0], body[1]);

@@ -9,9 +9,7 @@ namespace pgccd {
 struct alignas(16) LeafPair {
   int32_t pair;
   NodePair leaves;
-  float begin;  // the leaves certainly stay apart before it; negative: unknown
+  float begin;  // the leaves certainly stay apart before it
 };
-
-constexpr float kUnknownBegin = -1.0f;
 
 }  // namespace pgccd

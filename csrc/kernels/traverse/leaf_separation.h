@@ -6,7 +6,7 @@
 
 #include <bit>
 
-#include "kernels/traverse/pair_item.h"
+#include "kernels/traverse/time_spans.h"
 
 namespace pgccd {
 
@@ -72,7 +72,7 @@ class LeafSeparation {
   // the gap is concave in time. The error of a distance along a unit direction is below 32 units of rounding; the
   // inflation includes 64. The direction is scaled to unit length first: with large bodies, the scale of the poses
   // times that of a point near the origin would underflow.
-  PGCCD_HD bool is_along(Vec3<float>& reached, float& free_part) const {
+  PGCCD_HD_LANES bool is_along(Vec3<float>& reached, float& free_part) const {
     const float length_squared = norm_squared(reached);
     if (!(length_squared > 1e-30f)) return false;
     const Vec3<float> direction = (1.0f / square_root(length_squared)) * reached;
@@ -101,7 +101,7 @@ class LeafSeparation {
   PGCCD_HD const LeafPoints& points(int side, int32_t row) const { return tree_.sweep().leaf_rows[side][row]; }
 
   // The farthest vertices at both ends.
-  PGCCD_HD void find_farthest(int side, int32_t node, Vec3<float> direction, Farthest out[2]) const {
+  PGCCD_HD_LANES void find_farthest(int side, int32_t node, Vec3<float> direction, Farthest out[2]) const {
     constexpr int kSlotsAtOnce = sizeof(T) / sizeof(float);
     const Placement from = start_.of[side], to = end_.of[side];
     const Vec3<T> at_start = in_all_lanes(Sweep::pulled_back(from, direction), T{});
@@ -138,15 +138,54 @@ class LeafSeparation {
 
 // The time until which the leaves certainly stay apart, as part of the step; kNeverMeet if over the whole step.
 constexpr float kNeverMeet = 2.0f;
+
+namespace separation_detail {
+
+// Whether the leaves certainly stay apart over segment k. Otherwise `free_part` is the first part of it in which they
+// do. One function, so that the host inlines everything into it.
+template <class T, class Bodies>
+PGCCD_HD_RARE bool leaves_stay_apart(const PairTree<Bodies>& tree, NodePair leaves, int k, float& free_part) {
+  const LeafSeparation<T, Bodies> separation(tree, leaves, k);
+  Vec3<float> reached = separation.between_spheres();
+  free_part = 0.0f;
+  for (int step = 0; step < kSeparationSteps; ++step) {
+    if (separation.is_along(reached, free_part)) return true;
+  }
+  return false;
+}
+
+// The time until which the leaves of a pair that turns fast stay apart, of a range of its segments.
+template <class T>
+PGCCD_HD_RARE float leaves_free_while_turning(const PairTree<RigidBodies>& tree, NodePair leaves, TimeSpan range) {
+  SpanWalk walk(range);
+  while (!walk.is_over()) {
+    const SpanTree over(tree, walk.span());
+    float free_part;
+    if (leaves_stay_apart<T>(over.tree(), leaves, 1, free_part)) {
+      walk.next();
+    } else if (!walk.divide()) {
+      return time_in_step(walk.span().end, free_part, tree.sweep().segment_count);
+    }
+  }
+  return kNeverMeet;
+}
+template <class T>
+PGCCD_HD float leaves_free_while_turning(const PairTree<DeformingBodies>&, NodePair, TimeSpan) {
+  return 0.0f;
+}
+
+}  // namespace separation_detail
+
 template <class T, class Bodies>
 PGCCD_HD float leaves_free_until(const PairTree<Bodies>& tree, NodePair leaves) {
-  for (int k = 1; k <= tree.sweep().segment_count; ++k) {
-    const LeafSeparation<T, Bodies> separation(tree, leaves, k);
-    Vec3<float> reached = separation.between_spheres();
-    float free_part = 0.0f;
-    bool apart = false;
-    for (int step = 0; step < kSeparationSteps && !apart; ++step) apart = separation.is_along(reached, free_part);
-    if (!apart) return separation.free_until(free_part);
+  const int segments = tree.sweep().segment_count;
+  if (tree.sweep().turns_fast()) {
+    return separation_detail::leaves_free_while_turning<T>(tree, leaves, {0, segments});
+  }
+  for (int k = 1; k <= segments; ++k) {
+    float free_part;
+    if (separation_detail::leaves_stay_apart<T>(tree, leaves, k, free_part)) continue;
+    return separation_detail::time_in_step(k, free_part, segments);
   }
   return kNeverMeet;
 }

@@ -77,7 +77,7 @@ __global__ void __launch_bounds__(kBlockThreads)
     bool is_needed = false, has_task = false;
     Task task{row, SplitPair::none()};
     if (lane < rows) {
-      if (sweep.segment_count >= kPosesAtHand) {
+      if (sweep.last_pose() >= kPosesAtHand) {
         const Counter place = warp_append(&counters->poses, static_cast<uint32_t>(sweep.segment_count) + 1u);
         // Clamp to valid rows; the overflow flag discards the result.
         const bool has_rows = has_place(place + sweep.segment_count, pairs.pose_capacity);

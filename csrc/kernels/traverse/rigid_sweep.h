@@ -53,16 +53,17 @@ struct alignas(16) RigidSweep : PairFrame {
   float growth[2];  // see `slab_growth`
   int segment_count;
   float start_distance;
-  int32_t unused = 0;  // explicit padding, so that no uninitialised bytes are copied
-
-  PGCCD_HD RigidSweep(const RigidBodies& bodies, int64_t i, int64_t j, const SweepSettings& settings, double until)
-      : RigidSweep(bodies, i, j, settings, until, CentrePath(bodies, i, j)) {}
+  float segment_deviation;  // of the chords of one segment, local units
 
   PGCCD_HD RigidSweep(const RigidBodies& bodies, int64_t i, int64_t j, const SweepSettings& settings, double until,
-                      const CentrePath& path)
+                      int least_segments = 1)
+      : RigidSweep(bodies, i, j, settings, until, least_segments, CentrePath(bodies, i, j)) {}
+
+  PGCCD_HD RigidSweep(const RigidBodies& bodies, int64_t i, int64_t j, const SweepSettings& settings, double until,
+                      int least_segments, const CentrePath& path)
       : PairFrame(bodies, i, j, until, path.offset) {
     const BodyCentres& centres = bodies.centres;
-    segment_count = 1;
+    segment_count = least_segments;
     double deviation = 0.0;
     if (!bodies.linear_path) {
       const double ri = centres.radius[i], rj = centres.radius[j];
@@ -72,13 +73,15 @@ struct alignas(16) RigidSweep : PairFrame {
       const double rho_i = path.from_axis[0] + ri, rho_j = path.from_axis[1] + rj;
       const double bend = 0.125 * (horizon * horizon) * (turn_i * rho_i + turn_j * rho_j);
       // Chords may deviate by a fiftieth of the smaller body; with the largest segment count they may deviate further,
-      // which is still covered.
+      // which is still covered. It is in proportion to the turn, however small a body is.
       const double wanted = std::sqrt(bend / (0.02 * smaller(ri, rj)));
-      segment_count = wanted > kMaxSegments ? kMaxSegments : (wanted > 1.0 ? static_cast<int>(std::ceil(wanted)) : 1);
+      const double most = sweep_detail::most_segments(horizon * std::sqrt(larger(turn_i, turn_j)));
+      if (wanted > segment_count) segment_count = static_cast<int>(std::ceil(smaller(wanted, most)));
       deviation = bend / (static_cast<double>(segment_count) * segment_count);
     }
     const double distance = sweep_detail::kept_distance(centres, i, j, settings) + deviation + path.rounding;
     inflation = sweep_detail::rounded_up(scale * distance) + kLocalRounding;
+    segment_deviation = sweep_detail::rounded_up(scale * deviation);
     start_distance = sweep_detail::start_distance(settings, scale * path.rounding);
     for (int side = 0; side < 2; ++side) {
       const double angle = norm(load_vec3(bodies.rotation + 3 * body[side]));
@@ -91,6 +94,23 @@ struct alignas(16) RigidSweep : PairFrame {
   static constexpr bool may_be_one_body = false;
   static constexpr bool has_supports = true;
   PGCCD_HD static constexpr bool is_one_body() { return false; }
+
+  // More segments than have their poses stored: see time_spans.h.
+  PGCCD_HD bool turns_fast() const { return segment_count > kStoredSegments; }
+  // The last boundary of which the pose is stored.
+  PGCCD_HD int last_pose() const { return turns_fast() ? 1 : segment_count; }
+
+  // As a sweep with a single segment as long as so many. Chords deviate with the square of their duration.
+  PGCCD_HD RigidSweep over(int segments) const {
+    RigidSweep out = *this;
+    const float length = static_cast<float>(segments);
+    out.segment_count = 1;
+    out.inflation = (inflation + (length * length - 1.0f) * segment_deviation) * (1.0f + 8.0f * Precision<float>::unit);
+    for (float& its_growth : out.growth) {
+      its_growth = smaller(length * its_growth, 1.0f) * (1.0f + 8.0f * Precision<float>::unit);
+    }
+    return out;
+  }
 
   // Segment boundary k of segment_count.
   PGCCD_HD LocalPose pose(const RigidBodies& bodies, int k) const {
@@ -113,19 +133,19 @@ struct alignas(16) RigidSweep : PairFrame {
   }
 
   // Centre of a node relative to the SBV centre, body axes; the same at both ends of a segment.
-  PGCCD_HD Vec3<float> node_centre(int side, int32_t block, int slot, int) const {
+  PGCCD_HD_LANES Vec3<float> node_centre(int side, int32_t block, int slot, int) const {
     const NodeBlock& b = blocks[side][block];
     return {b.x[slot], b.y[slot], b.z[slot]};
   }
 
   // Relative to the SBV centre, body axes -> local frame.
   template <class T>
-  PGCCD_HD static Vec3<T> place(const Placement& p, Vec3<T> v) {
+  PGCCD_HD_LANES static Vec3<T> place(const Placement& p, Vec3<T> v) {
     return sweep_detail::shifted(p, sweep_detail::turned(p, v));
   }
 
   // Mean over both ends of a segment of a unit vector of the body, in the local frame.
-  PGCCD_HD Vec3<float> mean_of_turned(const Placement& start, const Placement& end, Vec3<float> direction) const {
+  PGCCD_HD_LANES Vec3<float> mean_of_turned(const Placement& start, const Placement& end, Vec3<float> direction) const {
     return (0.5f * inverse_scale) * sweep_detail::turned_by_sum(start, end, direction);
   }
 

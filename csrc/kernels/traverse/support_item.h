@@ -2,7 +2,7 @@
 // leave. T is float or, on the host, eight lanes of it.
 #pragma once
 
-#include "kernels/traverse/pair_item.h"
+#include "kernels/traverse/time_spans.h"
 
 namespace pgccd {
 
@@ -90,7 +90,8 @@ PGCCD_HD auto supports_separate(const PairTree<DeformingBodies>&, const SplitPai
   return T{} != T{};
 }
 
-// Whether a child and the other node may meet during the step.
+namespace support_detail {
+
 template <class Bodies>
 PGCCD_HD bool child_may_meet(const PairTree<Bodies>& tree, const SplitPair& split, int slot) {
   for (int k = 1; k <= tree.sweep().segment_count; ++k) {
@@ -100,6 +101,30 @@ PGCCD_HD bool child_may_meet(const PairTree<Bodies>& tree, const SplitPair& spli
     }
   }
   return false;
+}
+
+// The same for a pair that turns fast.
+PGCCD_HD_RARE bool child_may_meet_while_turning(const PairTree<RigidBodies>& tree, const SplitPair& split, int slot) {
+  SpanWalk walk({0, tree.sweep().segment_count});
+  while (!walk.is_over()) {
+    const SpanTree over(tree, walk.span());
+    if (!child_may_meet(over.tree(), split, slot)) {
+      walk.next();
+    } else if (!walk.divide()) {
+      return true;
+    }
+  }
+  return false;
+}
+PGCCD_HD bool child_may_meet_while_turning(const PairTree<DeformingBodies>&, const SplitPair&, int) { return true; }
+
+}  // namespace support_detail
+
+// Whether a child and the other node may meet during the step.
+template <class Bodies>
+PGCCD_HD bool child_may_meet(const PairTree<Bodies>& tree, const SplitPair& split, int slot) {
+  if (tree.sweep().turns_fast()) return support_detail::child_may_meet_while_turning(tree, split, slot);
+  return support_detail::child_may_meet(tree, split, slot);
 }
 
 // Whether the roots may: of other bodies the test of swept spheres has said so.

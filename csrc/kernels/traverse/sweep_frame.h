@@ -8,10 +8,12 @@
 #include "core/bodies.h"
 #include "core/lanes.h"
 #include "core/rounding.h"
+#include "core/trig.h"
 
 namespace pgccd {
 
-constexpr int kMaxSegments = 64;
+// Poses at the boundaries of up to so many segments are stored; of more they are computed where they are needed.
+constexpr int kStoredSegments = 64;
 
 // Everything is below 1 in the local frame: matrix entries, products, sums, the moving-sphere test and the separating
 // directions together stay below 64 units of float32 rounding.
@@ -70,6 +72,13 @@ PGCCD_HD double kept_distance(const BodyCentres& centres, int64_t i, int64_t j, 
   return pair_separation(centres, i, j, settings.separation) + pair_tolerance(centres, i, j, settings.tolerance);
 }
 
+// For bodies that turn by this angle; of invalid poses no more than of others. Below 2^24: exact as floats.
+PGCCD_HD double most_segments(double angle) {
+  constexpr double kPerRadian = 16.0;
+  static_assert(kPerRadian * kLargestAngle < 0x1p24);
+  return angle <= kLargestAngle ? larger(kPerRadian * angle, static_cast<double>(kStoredSegments)) : kStoredSegments;
+}
+
 PGCCD_HD float rounded_up(double x) { return static_cast<float>(x) * (1.0f + 2.0f * Precision<float>::unit); }
 
 // Edges and faces that are further apart at t = 0, in the local frame, certainly do not pass through one another: all
@@ -94,16 +103,16 @@ PGCCD_HD Mat3<double> blend(const Mat3<double>& m0, const Mat3<double>& m1, doub
 
 // Without the shift.
 template <class T>
-PGCCD_HD Vec3<T> turned(const Placement& p, Vec3<T> v) {
+PGCCD_HD_LANES Vec3<T> turned(const Placement& p, Vec3<T> v) {
   const auto row = [&](Vec3<float> r) { return multiply_add(r.z, v.z, multiply_add(r.y, v.y, r.x * v.x)); };
   return {row(p.x.axis), row(p.y.axis), row(p.z.axis)};
 }
 // The sum of a vector under two poses, without their shifts.
-PGCCD_HD Vec3<float> turned_by_sum(const Placement& p, const Placement& q, Vec3<float> v) {
+PGCCD_HD_LANES Vec3<float> turned_by_sum(const Placement& p, const Placement& q, Vec3<float> v) {
   return {dot(p.x.axis + q.x.axis, v), dot(p.y.axis + q.y.axis, v), dot(p.z.axis + q.z.axis, v)};
 }
 template <class T>
-PGCCD_HD Vec3<T> shifted(const Placement& p, Vec3<T> v) {
+PGCCD_HD_LANES Vec3<T> shifted(const Placement& p, Vec3<T> v) {
   return {p.x.shift + v.x, p.y.shift + v.y, p.z.shift + v.z};
 }
 

@@ -88,9 +88,10 @@ struct FoundLeaves {
 template <class Bodies>
 FoundLeaves find_leaf_pairs(const Executor& executor, const Bodies& bodies, const TraverseInput& input,
                             size_t most_at_start);
+// `over_same_time`: whether they were found over the motion until the same times.
 template <class Bodies>
 CandidateList visit_leaf_pairs(const Executor& executor, const Bodies& bodies, const TraverseInput& input,
-                               const std::vector<LeafPair>& leaves);
+                               const std::vector<LeafPair>& leaves, bool over_same_time);
 
 // Searches a first part of the candidates: of the leaf pairs that may meet first in their body pair. In a crowded
 // search, of body pairs with more than kFirstLeaves such leaf pairs, of about as many: bodies that rest against each

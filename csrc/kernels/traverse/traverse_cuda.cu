@@ -164,7 +164,7 @@ struct Traversal {
   }
 
   CandidateSpan run_padded(const TraverseCapacity& given, int64_t* counts, const SearchFirstPart& search) {
-    const TraverseListSizes capacity{rows_of(larger<int64_t>(given.poses, kMaxSegments + 1)), rows_of(given.tasks),
+    const TraverseListSizes capacity{rows_of(larger<int64_t>(given.poses, kStoredSegments + 1)), rows_of(given.tasks),
                                      rows_of(given.leaf_pairs), rows_of(given.candidates)};
     const bool in_parts = search && (given.crowded || input_.pair_count >= kManyPairs);
     // On average, each body pair has more candidates than a first part needs leaves.
@@ -219,10 +219,11 @@ struct Traversal {
     const auto has_contact = [=] __device__(uint32_t pair) { return toi[pair] != ~0ull; };
     const auto shorten_pair = [=] __device__(uint32_t pair) {
       const double horizon = __longlong_as_double(static_cast<long long>(toi[pair]));
+      // A shorter motion has no more segments. A pair without rows for all poses remains one.
+      const int least_segments = sweeps[pair].turns_fast() ? kStoredSegments + 1 : 1;
       const Sweep sweep(pairs.bodies, input.pairs[2 * int64_t{pair}], input.pairs[2 * int64_t{pair} + 1],
-                        input.settings, horizon);
-      // A shorter motion has no more segments.
-      for (int k = 0; k <= sweep.segment_count; ++k) {
+                        input.settings, horizon, least_segments);
+      for (int k = 0; k <= sweep.last_pose(); ++k) {
         store_words(sweep.pose(pairs.bodies, k), poses[pairs.pose_begin[pair] + k]);
       }
       store_words(sweep, sweeps[pair]);

@@ -4,8 +4,33 @@
 
 #include "kernels/launch.cuh"
 #include "kernels/traverse/leaf_shared.cuh"
+#include "kernels/traverse/time_spans.h"
 
 namespace pgccd {
+
+// A triangle over a segment, and whether it reaches into the other leaf's sphere.
+struct TriangleReach {
+  MovingPoints<3, float> moving;
+  bool reaches;
+};
+
+template <class Bodies>
+__device__ __forceinline__ TriangleReach reach_of(const PairTree<Bodies>& tree, NodePair leaves, int side, int row,
+                                                  int k) {
+  const int32_t own = side == 0 ? leaves.first : leaves.second, other = side == 0 ? leaves.second : leaves.first;
+  const auto moving = moving_triangles<float>(tree, side, tree.link(side, own).first + row, k);
+  const float reach = tree.local_radius(1 - side, other) + tree.sweep().inflation;
+  return {moving, !stays_out(moving, tree.moving_centre(1 - side, other, k), reach)};
+}
+
+// The same of a pair that turns fast.
+__device__ __noinline__ TriangleReach reach_while_turning(const PairTree<RigidBodies>& tree, NodePair leaves, int side,
+                                                          int row, TimeSpan span) {
+  return reach_of(SpanTree(tree, span).tree(), leaves, side, row, 1);
+}
+__device__ inline TriangleReach reach_while_turning(const PairTree<DeformingBodies>&, NodePair, int, int, TimeSpan) {
+  return {};
+}
 
 template <class Bodies>
 class LeafVisitor {
@@ -33,24 +58,32 @@ class LeafVisitor {
       for (int k = lane_; k < 2 * kTrianglePairs; k += kWarp) shared_.met[k] = 0;
     }
     for (int k = 1; k <= segments; ++k) {
-      // Does this triangle reach into the other leaf's sphere?
-      bool reaches = false;
-      MovingPoints<3, float> moving;
-      if (k <= own_segments && row < triangle_count) {
-        const PairTree<Bodies> tree = pairs_.tree(item.pair);
-        const int32_t own = side == 0 ? item.leaves.first : item.leaves.second;
-        const int32_t other = side == 0 ? item.leaves.second : item.leaves.first;
-        moving = moving_triangles<float>(tree, side, tree.link(side, own).first + row, k);
-        const float reach = tree.local_radius(1 - side, other) + tree.sweep().inflation;
-        reaches = !stays_out(moving, tree.moving_centre(1 - side, other, k), reach);
+      const bool is_within = k <= own_segments && row < triangle_count;
+      if (segments > kStoredSegments && (k - 1) % SpanWalk::kLongest == 0) {
+        bool reaches = is_within;
+        if (is_within && own_segments > kStoredSegments) {
+          const TimeSpan span{k - 1, smaller(k - 1 + SpanWalk::kLongest, own_segments)};
+          reaches = reach_while_turning(pairs_.tree(item.pair), item.leaves, side, row, span).reaches;
+        }
+        const uint32_t reaching = __ballot_sync(kAllLanes, reaches);
+        if ((kept_of_half(reaching, 0) | kept_of_half(reaching, 1)) == 0) {
+          k += SpanWalk::kLongest - 1;
+          continue;
+        }
       }
-      const uint32_t reaching = __ballot_sync(kAllLanes, reaches);
+      TriangleReach triangle{};
+      if (is_within && own_segments > kStoredSegments) {
+        triangle = reach_while_turning(pairs_.tree(item.pair), item.leaves, side, row, TimeSpan{k - 1, k});
+      } else if (is_within) {
+        triangle = reach_of(pairs_.tree(item.pair), item.leaves, side, row, k);
+      }
+      const uint32_t reaching = __ballot_sync(kAllLanes, triangle.reaches);
       const uint32_t kept = kept_of_half(reaching, 0) | kept_of_half(reaching, 1);
       // A single call of `work`, so that it is inlined and reads shared memory directly.
       for (bool stored = false; !stored;) {
         stored = filled_ + __popc(kept) <= kSlots;
         if (stored && kept != 0) {
-          if (kept >> lane_ & 1u) store(item, side, row, moving, remembers, kept);
+          if (kept >> lane_ & 1u) store(item, side, row, triangle.moving, remembers, kept);
           queued_ += list_triangle_pairs(shared_, kept, filled_, queued_, lane_);
           filled_ += __popc(kept);
           __syncwarp();  // the triangles and their pairs are written
