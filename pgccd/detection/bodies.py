@@ -31,6 +31,8 @@ class MovingBodies:
         centre_t0, centre_t1, reach: (N, 3), (N, 3), (N,) float64: the swept spheres that broad phases test. At every t
             the body and its margin are within `reach` of the point at fraction t of the way from `centre_t0` to
             `centre_t1`, its SBV centres at t0 and t1.
+        boxes: (N, 28) float32: boxes that move with the bodies, which broad phases test too (csrc/core/moving_box.h);
+            None if every mesh fills much of its SBV.
         checked: whether poses and columns have been validated.
 
     Example:
@@ -52,6 +54,7 @@ class MovingBodies:
         self.deforming = "x_t0" in columns
         self.tensors = tensors
         self.centre_t0, self.centre_t1, self.reach = swept_spheres
+        self.boxes = ops.moving_boxes(self.operands) if scene.meshes.has_boxes else None
         # Columns of the scene that are checked.
         self._of_scene: list[Checked] = []
         self.checked = False
