@@ -113,7 +113,7 @@ class PairSearch {
   };
 
   // Leaf pairs of a body pair in the first batch; those of most pairs fit into it.
-  static constexpr size_t kFirstBatch = 64;
+  static constexpr size_t kFirstBatch = 4;
 
   // Calls use(begin, end) for the leaf pairs of each body pair.
   template <class Use>
