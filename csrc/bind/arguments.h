@@ -86,7 +86,7 @@ inline void check_offsets(const MeshSetView& view, const MeshOffsets& sizes) {
 }
 
 inline MeshSetView mesh_set_view(const std::vector<Tensor>& t) {
-  STD_TORCH_CHECK(t.size() == 12, "mesh_set: expected 12 tensors, got ", t.size());
+  STD_TORCH_CHECK(t.size() == 13, "mesh_set: expected 13 tensors, got ", t.size());
   MeshSetView view;
   view.vertices = rows<double>(t[0], "mesh_set.vertices", {kAnySize, 3});
   view.faces = rows<int32_t>(t[1], "mesh_set.faces", {kAnySize, 3});
@@ -107,6 +107,10 @@ inline MeshSetView mesh_set_view(const std::vector<Tensor>& t) {
   view.centres = rows<double>(t[9], "mesh_set.centres", {centres, 3});
   view.reaches = rows<double>(t[10], "mesh_set.reaches", {centres});
   if (centres == 0) view.centres = view.reaches = nullptr;
+  // Empty if every mesh fills much of its SBV.
+  const int64_t boxes = t[12].size(0) == 0 ? 0 : t[8].size(0) - 1;
+  view.boxes = rows<double>(t[12], "mesh_set.boxes", {boxes, 4, 3});
+  if (boxes == 0) view.boxes = nullptr;
   view.node_supports =
       rows<int32_t, NodeSupport>(t[11], "mesh_set.node_supports", {t[4].size(0), kBlockWidth, kSupportWords});
   return view;
@@ -185,7 +189,8 @@ inline BroadPhaseChoice broad_phase_choice(int64_t broad_phase, int64_t axis) {
 inline BroadBodies broad_view(const Tensor& position_t0, const Tensor& position_t1, const Tensor& radius,
                               const std::optional<Tensor>& group, const std::optional<Tensor>& mask,
                               const std::optional<Tensor>& world, const std::optional<Tensor>& is_static,
-                              const std::optional<Tensor>& elsewhere, const KeptDistance& kept) {
+                              const std::optional<Tensor>& elsewhere, const std::optional<Tensor>& boxes,
+                              const KeptDistance& kept) {
   const double* radii = rows<double>(radius, "radius", {kAnySize});
   const int64_t count = radius.size(0);
   STD_TORCH_CHECK(count < (int64_t{1} << 31), "radius: more than 2^31 - 1 bodies on one device");
@@ -198,15 +203,17 @@ inline BroadBodies broad_view(const Tensor& position_t0, const Tensor& position_
   view.world = optional_column<int32_t>(world, "world", count);
   view.is_static = optional_column<uint8_t>(is_static, "is_static", count);
   view.elsewhere = optional_column<uint8_t>(elsewhere, "elsewhere", count);
+  view.boxes = boxes ? rows<float, MovingBox>(*boxes, "boxes", {count, kMovingBoxColumns}) : nullptr;
   view.separation = kept.separation;
   view.tolerance = kept.tolerance;
   return view;
 }
 
 // centres = [position_t0 (N, 3), position_t1 (N, 3), radius (N,)]
-inline BroadBodies centres_view(const std::vector<Tensor>& centres, const char* name, const KeptDistance& kept) {
+inline BroadBodies centres_view(const std::vector<Tensor>& centres, const char* name, const KeptDistance& kept,
+                                const std::optional<Tensor>& boxes = {}) {
   STD_TORCH_CHECK(centres.size() == 3, name, ": expected 3 tensors, got ", centres.size());
-  return broad_view(centres[0], centres[1], centres[2], {}, {}, {}, {}, {}, kept);
+  return broad_view(centres[0], centres[1], centres[2], {}, {}, {}, {}, {}, boxes, kept);
 }
 
 }  // namespace pgccd::bind

@@ -81,6 +81,14 @@ struct DetectOps {
     return {centre_t0, centre_t1, reach};
   }
 
+  static Tensor moving_boxes_rigid(const TensorList& mesh_set, const TensorList& bodies, bool linear_path) {
+    return moving_boxes(rigid_view(mesh_set, bodies, linear_path), bodies[1]);
+  }
+
+  static Tensor moving_boxes_deforming(const TensorList& mesh_set, const TensorList& bodies) {
+    return moving_boxes(deforming_view(mesh_set, bodies), bodies[1]);
+  }
+
   static std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor> refit(const TensorList& mesh_set, const Tensor& mesh_index,
                                                                   const Tensor& vertices_t0, const Tensor& vertices_t1,
                                                                   const Tensor& vertex_begin, const Tensor& block_begin,
@@ -112,9 +120,9 @@ struct DetectOps {
                             const std::optional<Tensor>& group, const std::optional<Tensor>& mask,
                             const std::optional<Tensor>& world, const std::optional<Tensor>& is_static,
                             const std::optional<Tensor>& elsewhere, double min_separation, double tolerance,
-                            int64_t broad_phase, int64_t axis, bool at_any_times) {
+                            int64_t broad_phase, int64_t axis, bool at_any_times, const std::optional<Tensor>& boxes) {
     const BroadPhaseChoice choice = broad_phase_choice(broad_phase, axis);
-    BroadBodies bodies = broad_view(position_t0, position_t1, radius, group, mask, world, is_static, elsewhere,
+    BroadBodies bodies = broad_view(position_t0, position_t1, radius, group, mask, world, is_static, elsewhere, boxes,
                                     {min_separation, tolerance});
     bodies.at_any_times = at_any_times;
     Tensor pairs = radius;
@@ -126,8 +134,8 @@ struct DetectOps {
   }
 
   static std::tuple<Tensor, Tensor> meeting_pairs(const Tensor& pairs, const TensorList& centres, double min_separation,
-                                                  double tolerance) {
-    const SweptPairs swept{centres_view(centres, "centres", {min_separation, tolerance}),
+                                                  double tolerance, const std::optional<Tensor>& boxes) {
+    const SweptPairs swept{centres_view(centres, "centres", {min_separation, tolerance}, boxes),
                            rows<int64_t>(pairs, "pairs", {kAnySize, 2}), pairs.size(0)};
     Tensor meeting = new_tensor<int64_t>(pairs, {pairs.size(0), 2}), found = new_tensor<int64_t>(pairs, {1});
     pgccd::meeting_pairs(Session(pairs).context(), swept, data<int64_t>(meeting), data<int64_t>(found));
@@ -177,6 +185,13 @@ struct DetectOps {
   }
 
  private:
+  template <class Bodies>
+  static Tensor moving_boxes(const Bodies& bodies, const Tensor& like) {
+    Tensor boxes = new_tensor<float>(like, {bodies.centres.count, kMovingBoxColumns});
+    pgccd::moving_boxes(Session(like).context(), bodies, data<MovingBox>(boxes));
+    return boxes;
+  }
+
   template <class Bodies>
   static std::tuple<Tensor, Tensor> traverse(const Bodies& bodies, const Tensor& pairs,
                                              const std::optional<Tensor>& horizon, const SweepSettings& settings) {
@@ -241,6 +256,8 @@ void register_detect_ops(Library& library) {
   library.impl("rotations_between", PGCCD_BOX(Ops::rotations_between));
   library.impl("poses_at", PGCCD_BOX(Ops::poses_at));
   library.impl("moving_spheres", PGCCD_BOX(Ops::moving_spheres));
+  library.impl("moving_boxes_rigid", PGCCD_BOX(Ops::moving_boxes_rigid));
+  library.impl("moving_boxes_deforming", PGCCD_BOX(Ops::moving_boxes_deforming));
   library.impl("refit", PGCCD_BOX(Ops::refit));
   library.impl("broad_pairs", PGCCD_BOX(Ops::broad_pairs));
   library.impl("meeting_pairs", PGCCD_BOX(Ops::meeting_pairs));

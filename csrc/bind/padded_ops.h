@@ -20,8 +20,8 @@ struct PaddedOps {
                                           const std::optional<Tensor>& elsewhere,
                                           const std::optional<Tensor>& is_invalid, double min_separation,
                                           double tolerance, int64_t broad_phase, const std::vector<int64_t>& capacity,
-                                          bool at_any_times) {
-    BroadBodies bodies = broad_view(position_t0, position_t1, radius, group, mask, world, is_static, elsewhere,
+                                          bool at_any_times, const std::optional<Tensor>& boxes) {
+    BroadBodies bodies = broad_view(position_t0, position_t1, radius, group, mask, world, is_static, elsewhere, boxes,
                                     {min_separation, tolerance});
     bodies.is_invalid = optional_column<int64_t>(is_invalid, "is_invalid", 1);
     bodies.at_any_times = at_any_times;
@@ -43,7 +43,7 @@ struct PaddedOps {
                             const std::vector<int64_t>& checks, const std::vector<double>& limits,
                             double min_separation, double tolerance, bool nonzero_toi, bool tests_start, int64_t report,
                             int64_t broad_phase, const std::vector<int64_t>& pair_capacity,
-                            const std::vector<int64_t>& capacity) {
+                            const std::vector<int64_t>& capacity, const std::optional<Tensor>& boxes) {
     const RigidBodies view = rigid_view(mesh_set, bodies, linear_path);
     const int64_t count = view.centres.count;
     const bool is_own = spheres.empty();
@@ -51,8 +51,8 @@ struct PaddedOps {
     STD_TORCH_CHECK(!is_own || (view.meshes.centres == nullptr && view.centres.margin == nullptr),
                     "spheres: expected 3 tensors where meshes are off centre or bodies have margins");
     const Tensor* const sphere = is_own ? &bodies[1] : spheres.data();
-    BroadBodies swept =
-        broad_view(sphere[0], sphere[1], sphere[2], group, mask, world, is_static, {}, {min_separation, tolerance});
+    BroadBodies swept = broad_view(sphere[0], sphere[1], sphere[2], group, mask, world, is_static, {}, boxes,
+                                   {min_separation, tolerance});
     STD_TORCH_CHECK(swept.count == count, "spheres: expected ", count, ", one a body, got ", swept.count);
     STD_TORCH_CHECK(!known_invalid_rows || !reach, "reach: expected none where invalid_rows are given");
     SoundRadii radii;

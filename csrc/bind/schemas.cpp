@@ -34,16 +34,19 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
   library.def(
       "moving_spheres(Tensor[] mesh_set, Tensor[] bodies, bool linear_path) -> (Tensor centre_t0, Tensor centre_t1, "
       "Tensor reach)");
-  // broad_phase: see kernels/broad/broad.h; axis: used by the sweep only
+  // (bodies, 28) f32: see core/moving_box.h
+  library.def("moving_boxes_rigid(Tensor[] mesh_set, Tensor[] bodies, bool linear_path) -> Tensor");
+  library.def("moving_boxes_deforming(Tensor[] mesh_set, Tensor[] bodies) -> Tensor");
+  // broad_phase: see kernels/broad/broad.h; axis: used by the sweep only; boxes: of moving_boxes
   library.def(
       "broad_pairs(Tensor position_t0, Tensor position_t1, Tensor radius, Tensor? group, Tensor? mask, Tensor? world, "
       "Tensor? is_static, Tensor? elsewhere, float min_separation, float tolerance, int broad_phase, int axis, "
-      "bool at_any_times=False) -> Tensor");
+      "bool at_any_times=False, Tensor? boxes=None) -> Tensor");
   // pairs (P, 2) i64 of broad_pairs at any times, rows of -1 anywhere; meeting (P, 2) i64, padded with -1; found (1,)
   // i64
   library.def(
-      "meeting_pairs(Tensor pairs, Tensor[] centres, float min_separation, float tolerance) -> (Tensor meeting, "
-      "Tensor found)");
+      "meeting_pairs(Tensor pairs, Tensor[] centres, float min_separation, float tolerance, Tensor? boxes=None) -> "
+      "(Tensor meeting, Tensor found)");
   library.def(
       "traverse_rigid(Tensor[] mesh_set, Tensor[] bodies, bool linear_path, Tensor pairs, Tensor? horizon, "
       "float min_separation, float tolerance, bool tests_start) -> (Tensor candidates, Tensor node_tests)");
@@ -62,7 +65,7 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
   library.def(
       "pairs_padded(Tensor position_t0, Tensor position_t1, Tensor radius, Tensor? group, Tensor? mask, Tensor? world, "
       "Tensor? is_static, Tensor? elsewhere, Tensor? is_invalid, float min_separation, float tolerance, "
-      "int broad_phase, int[] capacity, bool at_any_times=False) -> (Tensor pairs, Tensor counts)");
+      "int broad_phase, int[] capacity, bool at_any_times=False, Tensor? boxes=None) -> (Tensor pairs, Tensor counts)");
   // Columns of contacts, body pairs (., 2) i64 first; all counts, followed by invalid_rows. capacity = [poses, tasks,
   // leaf_pairs, candidates, launches, crowded, open, contacts]; capacities and counts: see kernels/traverse/traverse.h
   // and kernels/narrow/narrow.h.
@@ -84,8 +87,9 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
       "detect_rigid(Tensor[] mesh_set, Tensor[] bodies, bool linear_path, Tensor[] spheres, Tensor? group, "
       "Tensor? mask, Tensor? world, Tensor? is_static, Tensor? invalid_rows, Tensor(a!)? reach, Tensor[] more_columns, "
       "int[] checks, float[] limits, float min_separation, float tolerance, bool nonzero_toi, bool tests_start, "
-      "int report, int broad_phase, int[] pair_capacity, int[] capacity) -> (Tensor, Tensor, Tensor, Tensor, Tensor, "
-      "Tensor, Tensor, Tensor, Tensor counts)");
+      "int report, int broad_phase, int[] pair_capacity, int[] capacity, Tensor? boxes=None) -> (Tensor, Tensor, "
+      "Tensor, "
+      "Tensor, Tensor, Tensor, Tensor, Tensor, Tensor counts)");
   // Lowers first (N,) f64 at the owners (P, 2) i64 of each pair; capacity without contacts, counts without
   // invalid_rows.
   library.def(

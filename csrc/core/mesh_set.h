@@ -87,6 +87,8 @@ struct MeshSetView {
   // Both null if the SBV centre of every mesh is its origin.
   const double* centres;  // (meshes, 3) SBV centres, body frame
   const double* reaches;  // (meshes,) bound of the vertices' distance from the origin; the radius if centred
+  // Null if every mesh fills much of its SBV.
+  const double* boxes;  // (meshes, 4, 3) centre of a box and half of its edges, relative to the SBV centre; 0: none
 };
 
 // Maximum number of triangles per leaf: the number of lanes.

@@ -31,6 +31,8 @@ class MovingBodies:
         centre_t0, centre_t1, reach: (N, 3), (N, 3), (N,) float64: the swept spheres that broad phases test. At every t
             the body and its margin are within `reach` of the point at fraction t of the way from `centre_t0` to
             `centre_t1`, its SBV centres at t0 and t1.
+        boxes: (N, 28) float32: boxes that move with the bodies, which broad phases test too (csrc/core/moving_box.h);
+            None if every mesh fills much of its SBV.
         checked: whether poses and columns have been validated.
 
     Example:
@@ -45,6 +47,7 @@ class MovingBodies:
         columns: Mapping[str, Tensor],
         tensors: list[Tensor],
         swept_spheres: tuple[Tensor, Tensor, Tensor],
+        boxes: Tensor | None,
         linear_path: bool,
     ) -> None:
         self.scene, self._motion, self._columns = scene, motion, columns
@@ -52,6 +55,7 @@ class MovingBodies:
         self.deforming = "x_t0" in columns
         self.tensors = tensors
         self.centre_t0, self.centre_t1, self.reach = swept_spheres
+        self.boxes = boxes
         # Columns of the scene that are checked.
         self._of_scene: list[Checked] = []
         self.checked = False
@@ -91,8 +95,10 @@ class MovingBodies:
         if scene.margin is not None:
             tensors.append(scene.margin)
         linear_path = isinstance(motion, VertexMotion) or motion.path == "linear"
-        spheres = _swept_spheres(scene, tensors, isinstance(motion, VertexMotion), linear_path)
-        bodies = cls(scene, motion, columns, tensors, spheres, linear_path)
+        deforming = isinstance(motion, VertexMotion)
+        spheres = _swept_spheres(scene, tensors, deforming, linear_path)
+        boxes = _moving_boxes(scene, tensors, deforming, linear_path)
+        bodies = cls(scene, motion, columns, tensors, spheres, boxes, linear_path)
         bodies.checked, bodies._of_scene = wait, of_scene
         if of_columns is not None:
             bodies._found_invalid_rows = bodies._with_radius(of_columns)
@@ -125,7 +131,8 @@ class MovingBodies:
         if scene.margin is not None:
             tensors.append(scene.margin)
         spheres = _swept_spheres(scene, tensors, deforming, linear_path)
-        bodies = cls(scene, None, moving, tensors, spheres, linear_path or deforming)
+        boxes = _moving_boxes(scene, tensors, deforming, linear_path)
+        bodies = cls(scene, None, moving, tensors, spheres, boxes, linear_path or deforming)
         bodies.checked = True
         return bodies
 
@@ -264,6 +271,12 @@ def _swept_spheres(
     if scene.margin is not None:
         reach = (reach + scene.margin) * (1.0 + 2.0**-50)
     return centre_t0, centre_t1, reach
+
+
+def _moving_boxes(scene: Scene, tensors: list[Tensor], deforming: bool, linear_path: bool) -> Tensor | None:
+    if not scene.meshes.has_boxes:
+        return None
+    return ops.moving_boxes((scene.meshes.tensors, tensors, None if deforming else linear_path))
 
 
 def _rigid(scene: Scene, columns: Mapping[str, Tensor]) -> list[Tensor]:

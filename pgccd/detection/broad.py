@@ -48,7 +48,8 @@ def sweep(
     Returns:
         (P, 2) int64: every pair i < j that the scene's filters allow and whose swept spheres come within min_separation
         + tolerance (rounded outward by some 1e-13 of their size), and (i, i) for every body tested against itself;
-        sorted.
+        sorted. Of bodies that fill little of their SBV, such as rods, boxes that move with them must come so near too
+        (rounded outward by some 1e-5 of their size).
 
     Raises:
         TypeError, ValueError: naming the argument.
@@ -169,6 +170,7 @@ def find_pairs_padded(
         number,
         [max(0, pair_capacity - own), *rest],
         at_any_times,
+        bodies.boxes,
     )
     if own:
         added = own * (invalid[0] == 0)
@@ -217,7 +219,7 @@ def find_pairs_of_checked(
     `find_pairs_padded`.
     """
     lengths, number = _lengths(min_separation, tolerance), BROAD_PHASE_NUMBERS[chosen]
-    pairs = ops.broad_pairs(*_columns(bodies), elsewhere, *lengths, number, axis, at_any_times)
+    pairs = ops.broad_pairs(*_columns(bodies), elsewhere, *lengths, number, axis, at_any_times, bodies.boxes)
     return with_self_pairs(bodies, pairs)
 
 
@@ -233,7 +235,7 @@ def meeting_pairs(
     Returns:
         (P, 2) int64, the PCS in the same order, then rows of -1; and its number (1,) int64.
     """
-    return ops.meeting_pairs(pairs, bodies.swept_spheres, *_lengths(min_separation, tolerance))
+    return ops.meeting_pairs(pairs, bodies.swept_spheres, *_lengths(min_separation, tolerance), bodies.boxes)
 
 
 def with_self_pairs(bodies: MovingBodies, pairs: Tensor) -> Tensor:

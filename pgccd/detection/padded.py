@@ -180,6 +180,7 @@ def search_rigid(
         broad.BROAD_PHASE_NUMBERS[chosen],
         pair_capacity,
         capacity.of_contacts,
+        bodies.boxes,
     )
     return PaddedSearch(bodies, query, capacity, chosen, tuple(rows), counts, reach)  # type: ignore[arg-type]
 

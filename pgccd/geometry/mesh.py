@@ -13,6 +13,7 @@ from torch import Tensor
 
 from pgccd import _host, arguments
 from pgccd.geometry import mesh_files, shapes
+from pgccd.geometry.boxes import elongated_box
 from pgccd.geometry.origin import Origin, checked_origin, origin_point
 from pgccd.geometry.rounding import is_float32, warn_of_rounding
 
@@ -125,6 +126,8 @@ class Mesh:
         self._node_links = torch.from_numpy(prepared["node_links"]).view(-1, 8, 4)
         self._leaf_points = torch.from_numpy(prepared["leaf_points"]).view(-1, 4, 8)
         self._node_supports = torch.from_numpy(prepared["node_supports"]).view(-1, 8, 24)
+        # (4, 3) float64, relative to the SBV centre; None for a mesh that fills much of its SBV.
+        self._box = elongated_box(local, triangles, radius)
 
     @classmethod
     def box(cls, extents: Sequence[float] | np.ndarray | Tensor, origin: Origin = (0.0, 0.0, 0.0)) -> Mesh:
@@ -302,6 +305,7 @@ class MeshSet:
             The last row holds the totals.
         radius: (meshes,) float64 SBV radii.
         is_centred: whether every mesh has its SBV centre at its origin.
+        has_boxes: whether a mesh fills so little of its SBV that the broad phase also tests boxes.
         tensors: the operators' `mesh_set` argument.
     """
 
@@ -330,7 +334,12 @@ class MeshSet:
         centres = torch.cat([torch.empty((0, 3), dtype=torch.float64), *(m.centre_offset[None] for m in off_centre)])
         reaches = torch.tensor([m.reach for m in off_centre], dtype=torch.float64)
         supports = torch.cat([m._node_supports for m in meshes])
-        columns_of_all = (*joined, corners, self.offsets, centres, reaches, supports)
+        self.has_boxes = any(m._box is not None for m in meshes)
+        boxes = torch.zeros((len(meshes) if self.has_boxes else 0, 4, 3), dtype=torch.float64)
+        for index, mesh in enumerate(meshes):
+            if mesh._box is not None:
+                boxes[index] = torch.from_numpy(mesh._box)
+        columns_of_all = (*joined, corners, self.offsets, centres, reaches, supports, boxes)
         self.tensors = [tensor.contiguous().to(device) for tensor in columns_of_all]
         self.device = self.tensors[0].device
 

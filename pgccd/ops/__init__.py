@@ -12,6 +12,7 @@ from pgccd.ops.detection import (
     first_invalid_rows,
     lower_first_toi_rigid,
     meeting_pairs,
+    moving_boxes,
     moving_spheres,
     narrow,
     pairs_padded,

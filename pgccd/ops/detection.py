@@ -48,6 +48,13 @@ def moving_spheres(
     return torch.empty_like(bodies[1]), torch.empty_like(bodies[1]), torch.empty_like(bodies[3])
 
 
+@operator_of_bodies
+def moving_boxes(bodies: Bodies) -> Tensor:
+    """Boxes (N, 28) float32 around bodies at both ends of the step, see csrc/core/moving_box.h."""
+    tensors = bodies[1]
+    return tensors[1].new_empty((tensors[1].shape[0], 28), dtype=torch.float32)
+
+
 @operator
 def refit(
     mesh_set: Sequence[Tensor],
@@ -85,18 +92,24 @@ def broad_pairs(
     broad_phase: int,
     axis: int,
     at_any_times: bool = False,
+    boxes: Tensor | None = None,
 ) -> Tensor:
     """Sorted pairs (P, 2) int64 of swept spheres that come within min_separation + tolerance; a negative tolerance is
     relative to the smaller radius of a pair. Pairs of two static bodies are left out, and pairs of two bodies marked by
     elsewhere, (N,) uint8. broad_phase: number in csrc/kernels/broad/broad.h; axis: of a sweep, -1 for automatic.
-    Neither affects the result. at_any_times: also pairs that may come so near at two times, each of one body.
+    Neither affects the result. at_any_times: also pairs that may come so near at two times, each of one body. boxes
+    (N, 28): of `moving_boxes`, pairs of which stay apart are left out.
     """
     return int64(position_t0, unknown_count(), 2)
 
 
 @operator
 def meeting_pairs(
-    pairs: Tensor, centres: Sequence[Tensor], min_separation: float, tolerance: float
+    pairs: Tensor,
+    centres: Sequence[Tensor],
+    min_separation: float,
+    tolerance: float,
+    boxes: Tensor | None = None,
 ) -> tuple[Tensor, Tensor]:
     """Selects from pairs (P, 2) of bodies, found at any times, which may contain rows of -1, those that `broad_pairs`
     finds otherwise: (P, 2) in the same order, padded with -1 after the first `found` (1,) rows. centres: [position_t0
@@ -148,6 +161,7 @@ def pairs_padded(
     broad_phase: int,
     capacity: Sequence[int],
     at_any_times: bool = False,
+    boxes: Tensor | None = None,
 ) -> tuple[Tensor, Tensor]:
     """The pairs of `broad_pairs` padded with -1, and counts (7,): see `pgccd.detection.capacity`. Does not
     synchronise.
@@ -197,6 +211,7 @@ def detect_rigid(
     broad_phase: int,
     pair_capacity: Sequence[int],
     capacity: Sequence[int],
+    boxes: Tensor | None = None,
 ) -> tuple[Tensor, ...]:
     """`pairs_padded` for the spheres [position_t0, position_t1, radius], then `contacts_padded` for the pairs found. If
     `spheres` is empty, the bodies' own spheres are used. invalid_rows: as from `first_invalid_rows`, or None to check

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from support.shapes import approaching, tensors
+from support.shapes import approaching, tensors, unit_quaternions
 
 import pgccd
 from pgccd import ops
@@ -78,6 +78,23 @@ def move_rows(device: torch.device) -> None:
     ops.unpack_rows(packed[:, :0], [])
 
 
+def meet_in_boxes(device: torch.device) -> None:
+    """Calls the operators of broad phases with bodies that fill little of their SBV."""
+    count = 12
+    rod = pgccd.Mesh.box([4.0, 0.4, 0.4])
+    scene = pgccd.Scene([rod], torch.zeros(count, dtype=torch.int32), device)
+    rng = np.random.default_rng(1)
+    pose = (rng.uniform(-1.0, 1.0, (count, 3)), unit_quaternions(rng, count), rng.normal(size=(count, 3)))
+    motion = pgccd.RigidMotion.from_velocity(*tensors(*pose, rng.normal(size=(count, 3)), device=device), dt=0.1)
+    x = torch.cat([rod.vertices.to(device) + p for p in motion.position_t0])
+    capacity, invalid = pgccd.Capacity.of(count), torch.zeros(1, dtype=torch.int64, device=device)
+    for bodies in (pgccd.MovingBodies.of(scene, motion), pgccd.MovingBodies.of(scene, pgccd.VertexMotion(x, x))):
+        pairs = pgccd.broad.find_pairs_of_checked(bodies, 0.0, "sweep", at_any_times=True)
+        pgccd.broad.meeting_pairs(bodies, pairs, 0.0)
+        pgccd.broad.find_pairs_padded(bodies, 0.0, "grid", capacity, invalid)
+    pgccd.detect(scene, motion)
+
+
 def stages_alone(bodies: pgccd.MovingBodies) -> None:
     """Calls the operators that `detect` uses on only one kind of device."""
     for find in (pgccd.broad.sweep, pgccd.broad.grid, pgccd.broad.lbvh):
@@ -117,6 +134,7 @@ def recorded(device: torch.device) -> list[Call]:
             pgccd.detect(scene, moved, capacity=capacity)
             stages_alone(pgccd.MovingBodies.of(scene, bodies.motion(device=device)))
             stages_alone(pgccd.MovingBodies.of(scene, moved))
+            meet_in_boxes(device)
             moving = pgccd.MovingBodies.of(scene, bodies.motion(device=device))
             ops.swept_boxes(moving.position_t0, moving.position_t1, moving.radius, 0.01, -1e-6)
             share_out(moving)

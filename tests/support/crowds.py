@@ -53,6 +53,13 @@ def _links() -> list[pgccd.Mesh]:
     ]
 
 
+@cache
+def _slender() -> list[pgccd.Mesh]:
+    """A rod, a plate, a rod about one of its ends, and a body that is neither."""
+    rod = pgccd.Mesh.box([3.0, 0.15, 0.1])
+    return [rod, pgccd.Mesh.box([1.5, 1.5, 0.05]), recentred(rod, [1.4, 0.0, 0.0]), _meshes()[1]]
+
+
 def _crowd(
     seed: int,
     position: np.ndarray,
@@ -126,6 +133,14 @@ def crowds() -> dict[str, Crowd]:
             np.arange(60) % 2,
             meshes=_links(),
             filters={"margin": torch.tensor(rng.uniform(0.0, 0.4, 60))},
+        ),
+        "rods and plates": _crowd(
+            14,
+            spread,
+            0.5 * rng.normal(size=spread.shape),
+            np.arange(60) % 4,
+            meshes=_slender(),
+            filters={"static": torch.arange(60) % 8 == 1, "margin": torch.tensor(rng.uniform(0.0, 0.05, 60))},
         ),
         "far from the origin": _crowd(9, 0.5 * spread + 1e7, 0.4 * rng.normal(size=spread.shape), small),
         "one body": _crowd(10, spread[:1], spread[:1]),

@@ -4,6 +4,7 @@
 #include <cstdint>
 
 #include "core/bodies.h"
+#include "core/moving_box.h"
 #include "kernels/bounds/pose_item.h"
 #include "kernels/device_context.h"
 #include "kernels/executor.h"
@@ -31,6 +32,12 @@ struct MovingSpheres {
 
 void moving_spheres(const Executor& executor, const RigidBodies& bodies, int64_t count, const MovingSpheres& out);
 void moving_spheres(const DeviceContext& context, const RigidBodies& bodies, int64_t count, const MovingSpheres& out);
+
+// The boxes (bodies,) of bodies of which some meshes fill little of their SBV.
+template <class Bodies>
+void moving_boxes(const Executor& executor, const Bodies& bodies, MovingBox* boxes);
+template <class Bodies>
+void moving_boxes(const DeviceContext& context, const Bodies& bodies, MovingBox* boxes);
 
 struct DeformingInput {
   MeshSetView meshes;

@@ -1,6 +1,7 @@
 #include <vector>
 
 #include "kernels/bounds/bounds.h"
+#include "kernels/bounds/moving_box_item.h"
 #include "kernels/bounds/moving_sphere_item.h"
 #include "kernels/bounds/refit_item.h"
 
@@ -77,6 +78,18 @@ void moving_spheres(const Executor& executor, const RigidBodies& bodies, int64_t
     }
   });
 }
+
+template <class Bodies>
+void moving_boxes(const Executor& executor, const Bodies& bodies, MovingBox* boxes) {
+  const int64_t count = bodies.centres.count;
+  require_rows(executor, count, "bodies", "name meshes, and vertices and node blocks that are there",
+               [&](int64_t body) { return is_sound(bodies, body); });
+  parallel_chunks(executor, count, 64, [&](int, int64_t begin, int64_t end) {
+    for (int64_t b = begin; b < end; ++b) boxes[b] = moving_box(SingleThread{}, bodies, b);
+  });
+}
+template void moving_boxes(const Executor&, const RigidBodies&, MovingBox*);
+template void moving_boxes(const Executor&, const DeformingBodies&, MovingBox*);
 
 void refit(const Executor& executor, const DeformingInput& input, const DeformingBounds& bounds) {
   require_rows(executor, input.body_count, "mesh_index, vertex_begin, block_begin",

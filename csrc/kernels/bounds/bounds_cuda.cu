@@ -1,4 +1,5 @@
 #include "kernels/bounds/bounds.h"
+#include "kernels/bounds/moving_box_item.h"
 #include "kernels/bounds/moving_sphere_item.h"
 #include "kernels/bounds/refit_item.h"
 #include "kernels/launch.cuh"
@@ -208,6 +209,25 @@ __global__ void __launch_bounds__(kBlockThreads) refit_nodes(Refit refit) {
   }
 }
 
+// The lanes of a warp that measure a body.
+struct WarpLanes {
+  static constexpr int kCount = kWarp;
+  __device__ int index() const { return static_cast<int>(threadIdx.x % kWarp); }
+  __device__ double from(double x, int index) const { return __shfl_sync(kAllLanes, x, index); }
+};
+
+// One thread per rigid body, one warp per deforming one.
+template <class Team, class Bodies>
+__global__ void __launch_bounds__(kBlockThreads) make_boxes(Bodies bodies, MovingBox* boxes) {
+  wait_for_previous_kernels();
+  const Team team;
+  const int64_t body = (static_cast<int64_t>(blockIdx.x) * blockDim.x + threadIdx.x) / Team::kCount;
+  if (body >= bodies.centres.count) return;
+  require_on_device(is_sound(bodies, body), "bodies: expected rows of meshes, and vertices and node blocks");
+  const MovingBox box = moving_box(team, bodies, body);
+  if (team.index() == 0) boxes[body] = box;
+}
+
 }  // namespace
 
 void rotations_between(const DeviceContext& context, const double* orientation_t0, const double* orientation_t1,
@@ -232,6 +252,16 @@ void moving_spheres(const DeviceContext& context, const RigidBodies& bodies, int
     out.reach[b] = sphere.reach;
   });
 }
+
+template <class Bodies>
+void moving_boxes(const DeviceContext& context, const Bodies& bodies, MovingBox* boxes) {
+  using Team = std::conditional_t<std::is_same_v<Bodies, RigidBodies>, SingleThread, WarpLanes>;
+  if (bodies.centres.count == 0) return;
+  launch_kernel(context, make_boxes<Team, Bodies>, blocks_for(Team::kCount * bodies.centres.count), kBlockThreads,
+                bodies, boxes);
+}
+template void moving_boxes(const DeviceContext&, const RigidBodies&, MovingBox*);
+template void moving_boxes(const DeviceContext&, const DeformingBodies&, MovingBox*);
 
 void refit(const DeviceContext& context, const DeformingInput& input, const DeformingBounds& bounds) {
   if (input.body_count == 0) return;

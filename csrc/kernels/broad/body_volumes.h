@@ -1,10 +1,12 @@
-// Continuous bounding volumes for the broad phase. A single predicate, `is_potentially_colliding`, decides the PCS; a
-// broad phase may only skip pairs for which it is certainly false, so all of them return the same pairs.
+// Continuous bounding volumes for the broad phase: swept spheres. Together with `boxes_may_meet` (box_item.h), for
+// bodies that fill little of their SBV, a single predicate decides the PCS, `is_potentially_colliding`; a broad phase
+// may only skip pairs for which it is certainly false, so all of them return the same pairs.
 #pragma once
 
 #include <cstdint>
 
 #include "core/bodies.h"
+#include "core/moving_box.h"
 #include "core/rounding.h"
 
 namespace pgccd {
@@ -24,6 +26,7 @@ struct BroadBodies {
   // Whether pairs are found that may meet if each body is stopped or slowed down on its way: at two times of their
   // whole paths, equal or not.
   bool at_any_times = false;
+  const MovingBox* boxes = nullptr;  // (count,) or null: every body fills much of its SBV
 
   PGCCD_HD bool invalid() const { return is_invalid != nullptr && *is_invalid != 0; }
   // Padding rows have a negative radius. No broad phase pairs them, and they reach no cell.
@@ -124,7 +127,7 @@ PGCCD_HD bool meet_at_any_times(const BroadBodies& bodies, int64_t i, int64_t j)
 // True if the moving spheres come within separation + tolerance (what the narrow phase may report) at some time of the
 // step; with `at_any_times`, if they may at two times. Never false if they do in exact arithmetic. Requires i < j,
 // since the order affects the last bit.
-PGCCD_HD bool is_potentially_colliding(const BroadBodies& bodies, int64_t i, int64_t j) {
+PGCCD_HD bool spheres_may_meet(const BroadBodies& bodies, int64_t i, int64_t j) {
   if (!may_collide(bodies, i, j) || bodies.is_absent(i) || bodies.is_absent(j)) return false;
   return bodies.at_any_times ? predicate_detail::meet_at_any_times(bodies, i, j)
                              : predicate_detail::meet_at_equal_times(bodies, i, j);

@@ -7,7 +7,7 @@
 #include <variant>
 
 #include "core/scalar.h"
-#include "kernels/broad/body_volumes.h"
+#include "kernels/broad/box_item.h"
 #include "kernels/broad/meeting_item.h"
 #include "kernels/device_context.h"
 #include "kernels/executor.h"

@@ -1,7 +1,7 @@
 // Pairs of a broad phase `at_any_times`, of which those that meet at equal times are selected.
 #pragma once
 
-#include "kernels/broad/body_volumes.h"
+#include "kernels/broad/box_item.h"
 
 namespace pgccd {
 

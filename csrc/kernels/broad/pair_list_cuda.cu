@@ -23,6 +23,7 @@ struct RankedPairs {
   unsigned* has_long_row;
 };
 
+template <bool kMayHaveBoxes>
 __global__ void __launch_bounds__(kBlockThreads)
     keep_colliding(BroadBodies bodies, PairList candidates, RankedPairs out) {
   wait_for_previous_kernels();
@@ -35,7 +36,8 @@ __global__ void __launch_bounds__(kBlockThreads)
     const int64_t k = first + threadIdx.x;
     if (k < listed) {
       const uint64_t pair = candidates.pairs[k];
-      if (is_potentially_colliding(bodies, first_of(pair), second_of(pair))) buffer.append(out.list, pair);
+      if (is_potentially_colliding<kMayHaveBoxes>(bodies, first_of(pair), second_of(pair)))
+        buffer.append(out.list, pair);
     }
     buffer.flush(out.list, [&](int64_t position, uint64_t pair) {
       const uint32_t rank = atomicAdd(&out.row_counts[first_of(pair)], 1u);
@@ -121,8 +123,9 @@ Found list_pairs(const DeviceContext& context, const BroadBodies& bodies, const 
   fill_bytes(context, row_counts, 0, bodies.count + 1);
   launch(candidates);
   check_cuda(cudaGetLastError(), "broad phase");
-  launch_kernel(context, keep_colliding, looping_blocks_for(context, capacity.overlaps), kBlockThreads, bodies,
-                candidates, found.ranked);
+  const auto keep = bodies.boxes == nullptr ? keep_colliding<false> : keep_colliding<true>;
+  launch_kernel(context, keep, looping_blocks_for(context, capacity.overlaps), kBlockThreads, bodies, candidates,
+                found.ranked);
   run_cub(context, [&](void* scratch, size_t& bytes) {
     return cub::DeviceScan::ExclusiveSum(scratch, bytes, row_counts, row_begin, bodies.count + 1, context.stream);
   });

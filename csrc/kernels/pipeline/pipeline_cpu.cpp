@@ -156,7 +156,7 @@ class PairSearch {
   };
 
   // Leaf pairs of a body pair in the first batch; those of most pairs fit into it.
-  static constexpr size_t kFirstBatch = 64;
+  static constexpr size_t kFirstBatch = 4;
   // Leaf pairs near at t = 0 after which the first descent for any contact ends: bodies that intersect have hundreds.
   static constexpr size_t kFewAtStart = 16;
   static constexpr size_t kAllLeaves = std::numeric_limits<size_t>::max();
