@@ -85,7 +85,7 @@ def test_one_contact_of_each_pair_is_the_first_of_all(device: torch.device, turn
     spinning = Spinning.of(turn, arm, device)
     every = pgccd.detect(spinning.scene, spinning.motion, "all", initial="assume_free")
     hits = pgccd.detect(spinning.scene, spinning.motion, "first", initial="assume_free")
-    expected = {name: column[first_rows(every, "first")] for name, column in columns_of(every).items()}
+    expected = {name: column[first_rows(every, "first").cpu()] for name, column in columns_of(every).items()}
     assert len(hits) > 0 and difference(columns_of(hits), expected) is None
     touching = pgccd.detect(spinning.scene, spinning.motion, "any", initial="assume_free")
     assert torch.equal(touching.pairs, hits.pairs)

@@ -128,8 +128,7 @@ def follow(
         seen["contacts"] += made.record["contacts"]
     simulation.verify()
     assert isinstance(made, RankStep)
-    _, step = gather_sample(comm, simulation.state, made)
-    assert step is not None
+    _, [step] = gather_sample(comm, simulation.state, [made])
     if comm.rank == 0:
         for column, expected in last.after.columns.items():
             assert torch.equal(step.after.columns[column].cpu(), expected), column

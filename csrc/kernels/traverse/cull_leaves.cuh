@@ -31,7 +31,7 @@ __device__ bool is_decided(const Pairs<Bodies>& pairs, const FirstPart& found, c
 }
 
 // `found`: without times, nothing is known.
-template <class Bodies>
+template <bool kDividesTime, class Bodies>
 __global__ void __launch_bounds__(kBlockThreads)
     cull_leaves(Pairs<Bodies> pairs, LeafPairList leaves, LeafPairList meeting, EarliestBegins earliest,
                 FirstPart found) {
@@ -66,12 +66,17 @@ __global__ void __launch_bounds__(kBlockThreads)
     bool meets = false;
     if (is_busy) {
       const PairTree<Bodies> tree = pairs.tree(item.pair);
-      if (tree.sweep().turns_fast()) {  // at once: few pairs do
-        is_busy = false;
-        item.begin =
-            separation_detail::leaves_free_while_turning<float>(tree, item.leaves, {0, tree.sweep().segment_count});
-        meets = item.begin != kNeverMeet;
-      } else {
+      bool is_turning = false;
+      if constexpr (kDividesTime) {
+        is_turning = tree.sweep().turns_fast();
+        if (is_turning) {  // at once
+          is_busy = false;
+          item.begin =
+              separation_detail::leaves_free_while_turning<float>(tree, item.leaves, {0, tree.sweep().segment_count});
+          meets = item.begin != kNeverMeet;
+        }
+      }
+      if (!is_turning) {
         const LeafSeparation<float, Bodies> separation(tree, item.leaves, k);
         if (step == 0) reached = separation.between_spheres();
         ++step;

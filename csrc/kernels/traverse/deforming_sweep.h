@@ -24,6 +24,7 @@ struct alignas(16) DeformingSweep : PairFrame {
   static constexpr bool may_be_one_body = true;
   static constexpr bool has_supports = false;
   PGCCD_HD bool is_one_body() const { return body[0] == body[1]; }
+  static constexpr bool may_turn_fast = false;
   PGCCD_HD static constexpr bool turns_fast() { return false; }
   PGCCD_HD static constexpr int last_pose() { return segment_count; }
 

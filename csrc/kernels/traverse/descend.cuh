@@ -83,7 +83,7 @@ struct Group {
 // In each round every group of a warp splits one node pair of its task. All data of a round are loaded at once: how a
 // node pair will be split is decided when it is found. The first launch starts from the roots, later ones from the
 // tasks that the one before returned.
-template <class Bodies>
+template <bool kDividesTime, class Bodies>
 __global__ void __launch_bounds__(kBlockThreads, kDescentBlocks)
     descend(Pairs<Bodies> pairs, int launch, TaskHandover handover, LeafPairList leaves, Counter* node_tests) {
   wait_for_previous_kernels();
@@ -136,7 +136,7 @@ __global__ void __launch_bounds__(kBlockThreads, kDescentBlocks)
       const SplitPair split = shared.stack[group.size - 1];
       child.leaves = split.child(slot);
       const NodeLink first = tree.link(0, child.leaves.first), second = tree.link(1, child.leaves.second);
-      meets = child_may_meet(tree, split, slot);
+      meets = child_may_meet<kDividesTime>(tree, split, slot);
       if (slot == 0 && group.route.is_first()) ++splits;
       meets = meets && group.route.includes(slot);
       group.route.next();

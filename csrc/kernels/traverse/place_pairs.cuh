@@ -41,7 +41,7 @@ __device__ void store_rows(const uint4 (&staged)[kWarp][kWords], uint32_t lanes,
 
 // One thread per pair. How many poses a pair needs depends on how far its bodies turn. Pairs whose roots stay apart,
 // half of them, leave nothing behind.
-template <class Bodies>
+template <bool kDividesTime, class Bodies>
 __global__ void __launch_bounds__(kBlockThreads)
     place_pairs(Pairs<Bodies> pairs, TraverseInput input, PlacedPairs<Bodies> out, TraverseCounters* counters) {
   wait_for_previous_kernels();
@@ -77,6 +77,7 @@ __global__ void __launch_bounds__(kBlockThreads)
     bool is_needed = false, has_task = false;
     Task task{row, SplitPair::none()};
     if (lane < rows) {
+      if (sweep.segment_count >= kStoredSegments) counters->has_fast_pairs = 1;
       if (sweep.last_pose() >= kPosesAtHand) {
         const Counter place = warp_append(&counters->poses, static_cast<uint32_t>(sweep.segment_count) + 1u);
         // Clamp to valid rows; the overflow flag discards the result.
@@ -90,7 +91,7 @@ __global__ void __launch_bounds__(kBlockThreads)
       if (!is_needed) {
         const PairTree<Bodies> tree(bodies, sweep, poses);
         const NodePair nodes{0, 0};
-        is_needed = roots_may_meet(tree);
+        is_needed = roots_may_meet<kDividesTime>(tree);
         has_task = is_needed && !tree.is_leaf_pair(nodes);
         if (is_needed && !has_task) out.leaves.put(warp_append(out.leaves.count), {row, nodes});
         if (has_task) task.split = tree.split(nodes);

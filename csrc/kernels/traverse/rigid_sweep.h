@@ -75,7 +75,8 @@ struct alignas(16) RigidSweep : PairFrame {
       // Chords may deviate by a fiftieth of the smaller body; with the largest segment count they may deviate further,
       // which is still covered. It is in proportion to the turn, however small a body is.
       const double wanted = std::sqrt(bend / (0.02 * smaller(ri, rj)));
-      const double most = sweep_detail::most_segments(horizon * std::sqrt(larger(turn_i, turn_j)));
+      const double most =
+          sweep_detail::most_segments(horizon * std::sqrt(larger(turn_i, turn_j)), settings.divides_time);
       if (wanted > segment_count) segment_count = static_cast<int>(std::ceil(smaller(wanted, most)));
       deviation = bend / (static_cast<double>(segment_count) * segment_count);
     }
@@ -93,6 +94,7 @@ struct alignas(16) RigidSweep : PairFrame {
   // A rigid body keeps its distances from itself.
   static constexpr bool may_be_one_body = false;
   static constexpr bool has_supports = true;
+  static constexpr bool may_turn_fast = true;
   PGCCD_HD static constexpr bool is_one_body() { return false; }
 
   // More segments than have their poses stored: see time_spans.h.

@@ -104,7 +104,8 @@ PGCCD_HD bool child_may_meet(const PairTree<Bodies>& tree, const SplitPair& spli
 }
 
 // The same for a pair that turns fast.
-PGCCD_HD_RARE bool child_may_meet_while_turning(const PairTree<RigidBodies>& tree, const SplitPair& split, int slot) {
+PGCCD_HD_RARE inline bool child_may_meet_while_turning(const PairTree<RigidBodies>& tree, const SplitPair& split,
+                                                       int slot) {
   SpanWalk walk({0, tree.sweep().segment_count});
   while (!walk.is_over()) {
     const SpanTree over(tree, walk.span());
@@ -116,21 +117,23 @@ PGCCD_HD_RARE bool child_may_meet_while_turning(const PairTree<RigidBodies>& tre
   }
   return false;
 }
-PGCCD_HD bool child_may_meet_while_turning(const PairTree<DeformingBodies>&, const SplitPair&, int) { return true; }
 
 }  // namespace support_detail
 
-// Whether a child and the other node may meet during the step.
-template <class Bodies>
+// Whether a child and the other node may meet during the step. kDividesTime: as in SweepSettings, known to the
+// compiler, since the rare case costs the other registers.
+template <bool kDividesTime, class Bodies>
 PGCCD_HD bool child_may_meet(const PairTree<Bodies>& tree, const SplitPair& split, int slot) {
-  if (tree.sweep().turns_fast()) return support_detail::child_may_meet_while_turning(tree, split, slot);
+  if constexpr (kDividesTime) {
+    if (tree.sweep().turns_fast()) return support_detail::child_may_meet_while_turning(tree, split, slot);
+  }
   return support_detail::child_may_meet(tree, split, slot);
 }
 
 // Whether the roots may: of other bodies the test of swept spheres has said so.
-template <class Bodies>
+template <bool kDividesTime, class Bodies>
 PGCCD_HD bool roots_may_meet(const PairTree<Bodies>& tree) {
-  return !SweepOf<Bodies>::has_supports || child_may_meet(tree, {0, 0, 0}, 0);
+  return !SweepOf<Bodies>::has_supports || child_may_meet<kDividesTime>(tree, {0, 0, 0}, 0);
 }
 
 }  // namespace pgccd

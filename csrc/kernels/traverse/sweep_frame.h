@@ -25,6 +25,7 @@ struct SweepSettings {
   double separation;
   double tolerance;  // as in pair_tolerance
   bool tests_start;
+  bool divides_time = true;  // false: no pair turns fast, see time_spans.h; pairs that would are tested less closely
 };
 
 // The pose of a body in the local frame, scale included: a point v relative to its SBV centre, body axes, is at
@@ -73,10 +74,11 @@ PGCCD_HD double kept_distance(const BodyCentres& centres, int64_t i, int64_t j, 
 }
 
 // For bodies that turn by this angle; of invalid poses no more than of others. Below 2^24: exact as floats.
-PGCCD_HD double most_segments(double angle) {
+PGCCD_HD double most_segments(double angle, bool divides_time = true) {
   constexpr double kPerRadian = 16.0;
   static_assert(kPerRadian * kLargestAngle < 0x1p24);
-  return angle <= kLargestAngle ? larger(kPerRadian * angle, static_cast<double>(kStoredSegments)) : kStoredSegments;
+  return divides_time && angle <= kLargestAngle ? larger(kPerRadian * angle, static_cast<double>(kStoredSegments))
+                                                : kStoredSegments;
 }
 
 PGCCD_HD float rounded_up(double x) { return static_cast<float>(x) * (1.0f + 2.0f * Precision<float>::unit); }

@@ -19,10 +19,11 @@ struct TraverseCounters {
   int64_t search_time;                  // of the candidates of the first leaf pairs, nanoseconds
   Counter poses;
   Counter node_tests;
-  Counter self_pairs;   // see SelfPairs
-  Counter self_blocks;  // of all of these pairs
-  Counter unsound;      // rows with invalid bodies, or bodies with invalid meshes
-  uint32_t taken[3];    // tasks taken, of those stored
+  Counter self_pairs;      // see SelfPairs
+  Counter self_blocks;     // of all of these pairs
+  Counter has_fast_pairs;  // pairs that turn fast, or would
+  Counter unsound;         // rows with invalid bodies, or bodies with invalid meshes
+  uint32_t taken[3];       // tasks taken, of those stored
 };
 
 // Blocks of all bodies tested against themselves have 32-bit numbers.

@@ -143,7 +143,7 @@ int64_t descend(const PairTree<Bodies>& tree, NodePair start, Windows windows, U
     stack[size++] = {start, windows};
   } else if (tree.sweep().turns_fast()) {
     for_each_meeting(tree, {0, 0, 0}, windows, [&](int, Windows meeting) { stack[size++] = {start, meeting}; });
-  } else if (roots_may_meet(tree)) {
+  } else if (roots_may_meet<false>(tree)) {
     stack[size++] = {start, windows};
   }
   int64_t tests = 0;

@@ -64,9 +64,16 @@ template <class Bodies>
 struct Traversal {
   using Sweep = SweepOf<Bodies>;
 
-  // `count`: of the pairs, on the device; null if that is all of the input's.
-  Traversal(const DeviceContext& context, const Bodies& bodies, const TraverseInput& input, const int64_t* count)
-      : context_(context), bodies_(bodies), input_(input), counters_(context.allocate<TraverseCounters>(1)) {
+  // `count`: of the pairs, on the device; null if that is all of the input's. `crowded`: as of TraverseCapacity; then
+  // time is divided too.
+  Traversal(const DeviceContext& context, const Bodies& bodies, const TraverseInput& input, const int64_t* count,
+            bool crowded)
+      : context_(context),
+        bodies_(bodies),
+        input_(input),
+        crowded_(crowded),
+        counters_(context.allocate<TraverseCounters>(1)) {
+    input_.settings.divides_time = crowded;
     sweeps_ = context.allocate<Sweep>(input.pair_count);
     pose_begin_ = context.allocate<uint32_t>(input.pair_count);
     pairs_ = {bodies,
@@ -93,13 +100,12 @@ struct Traversal {
   // Does not synchronise; overflow is counted. `launches`: after the first one; each continues tasks that warps have
   // returned, whose number grows by two orders of magnitude per launch, until the device is full.
   // `search`: null if all candidates are listed at once.
-  CandidateSink enqueue(const TraverseListSizes& capacity, int64_t launches, const SearchFirstPart& search,
-                        bool crowded) {
+  CandidateSink enqueue(const TraverseListSizes& capacity, int64_t launches, const SearchFirstPart& search) {
     CandidateSink out;
     const LeafPairList leaves = start(capacity, out);
     for (int launch = 0; launch <= launches; ++launch) descend_once(launch, launch == launches, leaves);
     if (search) {
-      visit_in_order(leaves, out, search, crowded);
+      visit_in_order(leaves, out, search);
     } else {
       const LeafPairList meeting = cull(leaves, new_list(&counters_->meeting_leaves, leaves), nullptr, {});
       visit_at_start(meeting, out);
@@ -110,14 +116,14 @@ struct Traversal {
 
   // First leaf pairs that begin first in their body pair; then those of the others that may meet before the contact
   // found in these.
-  void visit_in_order(LeafPairList leaves, CandidateSink out, const SearchFirstPart& search, bool crowded) {
+  void visit_in_order(LeafPairList leaves, CandidateSink out, const SearchFirstPart& search) {
     const int64_t pair_count = input_.pair_count;
     uint32_t *earliest = context_.allocate<uint32_t>(pair_count), *counts = nullptr;
     fill_bytes(context_, earliest, 0xff, pair_count);
     const LeafPairList meeting = cull(leaves, new_list(&counters_->meeting_leaves, leaves), earliest, {});
     const LeafPairList first{leaves.items, &counters_->first_leaves, leaves.capacity};  // in memory no longer needed
     const LeafPairList later = new_list(&counters_->later_leaves, leaves);
-    if (crowded) {
+    if (crowded_) {
       counts = context_.allocate<uint32_t>(pair_count);
       fill_bytes(context_, counts, 0, pair_count);
       count_first_leaves(context_, meeting, earliest, counts);
@@ -136,7 +142,7 @@ struct Traversal {
     shorten(found.toi);
     const LeafPairList remaining =
         cull(later, {meeting.items, &counters_->remaining_leaves, leaves.capacity}, nullptr, found);
-    if (crowded) visit_at_start(remaining, out);  // otherwise all of them begin later than at the start
+    if (crowded_) visit_at_start(remaining, out);  // otherwise all of them begin later than at the start
     visit(remaining, out);
   }
 
@@ -152,7 +158,7 @@ struct Traversal {
   TraverseCounters run(CandidateSink& out) {
     TraverseListSizes capacity = guess_sizes(input_, deforming_vertices(bodies_));
     for (int64_t launches = kLaunches;; launches *= 2) {
-      out = enqueue(capacity, launches, nullptr, false);
+      out = enqueue(capacity, launches, nullptr);
       TraverseCounters seen = read(context_, counters_);
       if (seen.unsound != 0) throw std::runtime_error(kUnsoundPairs);
       const Counter left = seen.rest[rest_after(launches)];
@@ -166,18 +172,20 @@ struct Traversal {
   CandidateSpan run_padded(const TraverseCapacity& given, int64_t* counts, const SearchFirstPart& search) {
     const TraverseListSizes capacity{rows_of(larger<int64_t>(given.poses, kStoredSegments + 1)), rows_of(given.tasks),
                                      rows_of(given.leaf_pairs), rows_of(given.candidates)};
-    const bool in_parts = search && (given.crowded || input_.pair_count >= kManyPairs);
-    // On average, each body pair has more candidates than a first part needs leaves.
-    const bool may_be_crowded = search && !given.crowded;
+    const bool in_parts = search && (crowded_ || input_.pair_count >= kManyPairs);
+    const bool is_crowded = crowded_, wants_few = static_cast<bool>(search);
     const Pairs<Bodies> pairs = pairs_;
-    const CandidateSink out = enqueue(capacity, given.launches, in_parts ? search : nullptr, given.crowded);
+    const CandidateSink out = enqueue(capacity, given.launches, in_parts ? search : nullptr);
     const TraverseCounters* seen = counters_;
     const int last = rest_after(given.launches);
     for_each_item(context_, 1, [=] __device__(int64_t) {
       store_traverse_counts(*seen, capacity, last, counts);
+      // On average, each body pair has more candidates than a first part needs leaves; and these are too many, or many
+      // because bodies turn fast.
       const Counter found = seen->candidates.sum();
-      counts[kCrowded] =
-          may_be_crowded && !fits(found, capacity.candidates) && found / kFirstLeaves > Counter(pairs.given());
+      const bool is_too_many = wants_few && !fits(found, capacity.candidates);
+      const bool has_many = found / kFirstLeaves > static_cast<Counter>(pairs.given());
+      counts[kCrowded] = !is_crowded && has_many && (is_too_many || seen->has_fast_pairs != 0) ? 1 : 0;
       counts[kTraverseEnded] = nanoseconds() - seen->search_time;
     });
     return span(out, in_parts ? &counters_->searched_candidates : &counters_->no_candidates);
@@ -200,9 +208,12 @@ struct Traversal {
     const TaskList roots = tasks_before(0);
     const PlacedPairs<Bodies> placed{sweeps_, poses, pose_begin_, roots, leaves, self_pairs_};
     const int64_t blocks = (input_.pair_count + kBlockThreads - 1) / kBlockThreads;
-    launch_kernel(context_, place_pairs<Bodies>,
-                  static_cast<unsigned>(smaller<int64_t>(blocks, resident_blocks_of(context_, place_pairs<Bodies>))),
-                  kBlockThreads, pairs_, input_, placed, counters_);
+    with_division([&]<bool kDividesTime>() {
+      const auto kernel = place_pairs<kDividesTime, Bodies>;
+      launch_kernel(context_, kernel,
+                    static_cast<unsigned>(smaller<int64_t>(blocks, resident_blocks_of(context_, kernel))),
+                    kBlockThreads, pairs_, input_, placed, counters_);
+    });
     if constexpr (Sweep::may_be_one_body) {
       launch_kernel(context_, start_self_pairs<Bodies>, resident_blocks_of(context_, start_self_pairs<Bodies>),
                     kBlockThreads, pairs_, self_pairs_, leaves, roots, &counters_->node_tests);
@@ -247,22 +258,39 @@ struct Traversal {
                              &counters_->rest[next],
                              &counters_->taken[(launch + 1) % 3],
                              &counters_->most_rest};
-    const unsigned blocks = launch == 0 ? blocks_in_waves(context_, descend<Bodies>, kBlockWidth * input_.pair_count)
-                                        : resident_blocks_of(context_, descend<Bodies>);
-    launch_kernel(context_, descend<Bodies>, blocks, kBlockThreads, pairs_, is_last ? kLastLaunch : launch, tasks,
-                  leaves, &counters_->node_tests);
+    with_division([&]<bool kDividesTime>() {
+      const auto kernel = descend<kDividesTime, Bodies>;
+      const unsigned blocks = launch == 0 ? blocks_in_waves(context_, kernel, kBlockWidth * input_.pair_count)
+                                          : resident_blocks_of(context_, kernel);
+      launch_kernel(context_, kernel, blocks, kBlockThreads, pairs_, is_last ? kLastLaunch : launch, tasks, leaves,
+                    &counters_->node_tests);
+    });
+  }
+
+  // Calls launch with whether time is divided, as a constant.
+  template <class Launch>
+  void with_division(const Launch& launch) const {
+    if constexpr (Sweep::may_turn_fast) {
+      if (input_.settings.divides_time) return launch.template operator()<true>();
+    }
+    launch.template operator()<false>();
   }
 
   LeafPairList cull(LeafPairList leaves, LeafPairList meeting, EarliestBegins earliest, const FirstPart& found) {
-    launch_kernel(context_, cull_leaves<Bodies>, blocks_in_waves(context_, cull_leaves<Bodies>, leaves.capacity),
-                  kBlockThreads, pairs_, leaves, meeting, earliest, found);
+    with_division([&]<bool kDividesTime>() {
+      const auto kernel = cull_leaves<kDividesTime, Bodies>;
+      launch_kernel(context_, kernel, blocks_in_waves(context_, kernel, leaves.capacity), kBlockThreads, pairs_, leaves,
+                    meeting, earliest, found);
+    });
     return meeting;
   }
 
   void visit(LeafPairList leaves, CandidateSink out) {
-    launch_kernel(context_, visit_leaves<Bodies>,
-                  blocks_in_waves(context_, visit_leaves<Bodies>, int64_t{kWarp / 2} * leaves.capacity), kBlockThreads,
-                  pairs_, leaves, out);
+    with_division([&]<bool kDividesTime>() {
+      const auto kernel = visit_leaves<kDividesTime, Bodies>;
+      launch_kernel(context_, kernel, blocks_in_waves(context_, kernel, int64_t{kWarp / 2} * leaves.capacity),
+                    kBlockThreads, pairs_, leaves, out);
+    });
   }
 
   // Leaf pairs that may be near at t = 0: the first to be visited, if not all are visited at once.
@@ -275,7 +303,8 @@ struct Traversal {
 
   const DeviceContext& context_;
   const Bodies& bodies_;
-  const TraverseInput& input_;
+  TraverseInput input_;
+  const bool crowded_;
   TraverseCounters* counters_;
   Sweep* sweeps_;
   uint32_t* pose_begin_;
@@ -296,7 +325,7 @@ void traverse(const DeviceContext& context, const Bodies& bodies, const Traverse
     return;
   }
   CandidateSink found;
-  const TraverseCounters seen = Traversal<Bodies>(context, bodies, input, nullptr).run(found);
+  const TraverseCounters seen = Traversal<Bodies>(context, bodies, input, nullptr, true).run(found);
   const auto edge_edge = static_cast<int64_t>(seen.candidates.front),
              vertex_face = static_cast<int64_t>(seen.candidates.back);
   Candidate* out = make_output(edge_edge + vertex_face);
@@ -316,7 +345,7 @@ CandidateSpan traverse_padded(const DeviceContext& context, const Bodies& bodies
     });
     return {};
   }
-  return Traversal<Bodies>(context, bodies, input, pair_count).run_padded(capacity, counts, search);
+  return Traversal<Bodies>(context, bodies, input, pair_count, capacity.crowded).run_padded(capacity, counts, search);
 }
 
 template void traverse(const DeviceContext&, const RigidBodies&, const TraverseInput&, const CandidateOutput&,

@@ -28,11 +28,7 @@ __device__ __noinline__ TriangleReach reach_while_turning(const PairTree<RigidBo
                                                           int row, TimeSpan span) {
   return reach_of(SpanTree(tree, span).tree(), leaves, side, row, 1);
 }
-__device__ inline TriangleReach reach_while_turning(const PairTree<DeformingBodies>&, NodePair, int, int, TimeSpan) {
-  return {};
-}
-
-template <class Bodies>
+template <bool kDividesTime, class Bodies>
 class LeafVisitor {
   using Sweep = SweepOf<Bodies>;
 
@@ -59,22 +55,27 @@ class LeafVisitor {
     }
     for (int k = 1; k <= segments; ++k) {
       const bool is_within = k <= own_segments && row < triangle_count;
-      if (segments > kStoredSegments && (k - 1) % SpanWalk::kLongest == 0) {
-        bool reaches = is_within;
-        if (is_within && own_segments > kStoredSegments) {
-          const TimeSpan span{k - 1, smaller(k - 1 + SpanWalk::kLongest, own_segments)};
-          reaches = reach_while_turning(pairs_.tree(item.pair), item.leaves, side, row, span).reaches;
+      TriangleReach triangle{};
+      bool is_turning = false;
+      if constexpr (kDividesTime) {
+        is_turning = own_segments > kStoredSegments;
+        if (segments > kStoredSegments && (k - 1) % SpanWalk::kLongest == 0) {
+          bool reaches = is_within;
+          if (is_within && is_turning) {
+            const TimeSpan span{k - 1, smaller(k - 1 + SpanWalk::kLongest, own_segments)};
+            reaches = reach_while_turning(pairs_.tree(item.pair), item.leaves, side, row, span).reaches;
+          }
+          const uint32_t reaching = __ballot_sync(kAllLanes, reaches);
+          if ((kept_of_half(reaching, 0) | kept_of_half(reaching, 1)) == 0) {
+            k += SpanWalk::kLongest - 1;
+            continue;
+          }
         }
-        const uint32_t reaching = __ballot_sync(kAllLanes, reaches);
-        if ((kept_of_half(reaching, 0) | kept_of_half(reaching, 1)) == 0) {
-          k += SpanWalk::kLongest - 1;
-          continue;
+        if (is_within && is_turning) {
+          triangle = reach_while_turning(pairs_.tree(item.pair), item.leaves, side, row, TimeSpan{k - 1, k});
         }
       }
-      TriangleReach triangle{};
-      if (is_within && own_segments > kStoredSegments) {
-        triangle = reach_while_turning(pairs_.tree(item.pair), item.leaves, side, row, TimeSpan{k - 1, k});
-      } else if (is_within) {
+      if (is_within && !is_turning) {
         triangle = reach_of(pairs_.tree(item.pair), item.leaves, side, row, k);
       }
       const uint32_t reaching = __ballot_sync(kAllLanes, triangle.reaches);
@@ -210,14 +211,14 @@ class LeafVisitor {
   int near_ = 0;     // near feature pairs waiting
 };
 
-template <class Bodies>
+template <bool kDividesTime, class Bodies>
 __global__ void __launch_bounds__(kBlockThreads)
     visit_leaves(Pairs<Bodies> pairs, LeafPairList leaves, CandidateSink out) {
   wait_for_previous_kernels();
   __shared__ LeafShared shared[kWarpsPerBlock];
   __shared__ CandidateBuffers buffers[kWarpsPerBlock];
   CandidateWriter writer(buffers[threadIdx.x / kWarp], out);
-  LeafVisitor<Bodies> visitor(pairs, shared[threadIdx.x / kWarp], writer);
+  LeafVisitor<kDividesTime, Bodies> visitor(pairs, shared[threadIdx.x / kWarp], writer);
   const uint32_t count = leaves.size(), warps = gridDim.x * kWarpsPerBlock;
   uint32_t item = 2 * ((blockIdx.x * blockDim.x + threadIdx.x) / kWarp);
   for (bool is_last = false; !is_last; item += 2 * warps) {
