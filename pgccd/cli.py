@@ -18,6 +18,7 @@ from pgccd.about import describe_installation
 from pgccd.checkpoint.lock import FolderError
 from pgccd.detection.broad import BROAD_PHASES
 from pgccd.detection.narrow import REPORTS
+from pgccd.distributed.checkpoint.reading import open_stored
 from pgccd.distributed.launch.agreement import on_first, together
 from pgccd.files import load_motion, load_scene
 from pgccd.geometry.origin import Origin
@@ -253,7 +254,7 @@ def _run_or_resume(options: argparse.Namespace, device: torch.device, comm: dist
     try:
         folder = command.folder_to_resume(comm, options.resume, out)
         if folder is not None:
-            header = on_first(comm, lambda: require_checkpoint(folder)).run
+            header = open_stored(comm, lambda index: require_checkpoint(folder, index)).run
             _require_same_world(folder, header, given)
             files = options.mesh or on_first(comm, lambda: mesh_files(folder))
             meshes = together(comm, lambda: _load_meshes(files, "--mesh", "centroid"))

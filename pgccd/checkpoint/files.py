@@ -88,6 +88,25 @@ class FileEntry:
     tables: Mapping[str, Rows] = field(default_factory=dict)
 
 
+def file_entry(content: Any) -> FileEntry:
+    """A file's entry from JSON.
+
+    Raises:
+        KeyError, TypeError, ValueError, AttributeError: it is none.
+    """
+    tables = {name: Rows(**rows) for name, rows in content["tables"].items()}
+    for rows in tables.values():
+        whole_number(rows.count), whole_number(rows.hash)
+    return FileEntry(**(content | {"bytes": whole_number(content["bytes"]), "tables": tables}))
+
+
+def whole_number(value: Any) -> int:
+    """The value, if it is an int >= 0."""
+    if type(value) is not int or value < 0:
+        raise ValueError("expected numbers >= 0")
+    return value
+
+
 def rank_file(rank: int) -> str:
     """The name of a rank's file."""
     return f"rank-{rank:05d}.safetensors"

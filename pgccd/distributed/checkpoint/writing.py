@@ -9,6 +9,7 @@ import threading
 from collections.abc import Mapping
 from concurrent.futures import Future
 from contextlib import nullcontext
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -118,12 +119,12 @@ class CheckpointWriter:
             except Exception as failed:  # of any kind: the other ranks wait for the outcome
                 error = self._problem(name, failed)
         assert self._background is not None
-        of_ranks = self._background.gather((own, error))
+        of_ranks = self._background.gather([None if own is None else asdict(own), error])
         if self._comm.rank == 0:
-            error = next((text for _, text in of_ranks if text is not None), None)
+            error = next((str(text) for _, text in of_ranks if text is not None), None)
             if error is None:
                 try:
-                    rows = [entry for entry, _ in of_ranks if entry is not None]
+                    rows = [files.file_entry(entry) for entry, _ in of_ranks]
                     files.publish(self._root, name, content, files.layout_of(tables), rows)
                 except Exception as failed:
                     error = self._problem(name, failed)

@@ -122,7 +122,9 @@ def together(comm: Comm, action: Callable[[], T]) -> T:
 
 
 def on_first(comm: Comm, action: Callable[[], T]) -> T:
-    """Runs an action on rank 0 and returns its (picklable) result on all ranks; if it fails, it fails on all."""
+    """Runs an action on rank 0 and returns its result, as JSON can represent it, on all ranks; if it fails, it fails on
+    all.
+    """
     return comm.broadcast_object(together(comm, lambda: action() if comm.rank == 0 else None))
 
 

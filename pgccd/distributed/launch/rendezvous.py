@@ -19,6 +19,7 @@ from typing import Any
 
 import torch.distributed as dist
 
+from pgccd.distributed.comm.mpi_comm import MpiObjects
 from pgccd.distributed.launch.placement import Placement
 
 LOOPBACK = "127.0.0.1"
@@ -117,12 +118,13 @@ def _meet_by_mpi(placement: Placement, timeout: float) -> Meeting:
             f"mpi4py: its library sees {world.Get_size()} ranks, {placement.launcher} started {placement.size}: "
             "they belong to different MPIs"
         )
-    hosts = world.allgather(socket.gethostname())
+    objects = MpiObjects(world)
+    hosts = objects.broadcast(objects.gather(socket.gethostname()))
     host = LOOPBACK if len(set(hosts)) == 1 else os.environ.get("MASTER_ADDR", hosts[0])
     store = None
     if placement.rank == 0:
         store = _connect_store(host, 0, placement, timeout, keeps=True)
-    port = world.bcast(store.port if store is not None else None)
+    port = objects.broadcast(store.port if store is not None else None)
     return Meeting(store or _connect_store(host, port, placement, timeout, keeps=True), host, is_loopback(host))
 
 

@@ -12,9 +12,9 @@ import torch
 
 from pgccd import arguments
 from pgccd.checkpoint.files import CheckpointError
-from pgccd.checkpoint.stored import Stored, has_checkpoint
+from pgccd.checkpoint.stored import Index, Stored, has_checkpoint
 from pgccd.distributed.checkpoint.partition import load_partition, stored_kind
-from pgccd.distributed.checkpoint.reading import load_share
+from pgccd.distributed.checkpoint.reading import load_share, open_stored
 from pgccd.distributed.checkpoint.shared_folder import hold_together
 from pgccd.distributed.checkpoint.writing import CheckpointWriter
 from pgccd.distributed.comm.interface import Comm
@@ -62,7 +62,7 @@ def load_state(
     root = _folder_given(comm, folder)
     if not on_first(comm, lambda: has_checkpoint(root)):  # same type on all ranks: callers may create a new world
         raise of_all_ranks(FileNotFoundError(f"folder: no checkpoint at {root}"))
-    stored = on_first(comm, lambda: _stored(root))
+    stored = open_stored(comm, lambda index: _stored(root, index))
 
     def prepare() -> tuple[MeshSet, Partition]:
         where = arguments.device(device)
@@ -111,9 +111,9 @@ def _folder_given(comm: Comm, folder: str | PathLike[str]) -> Path:
     return path
 
 
-def _stored(folder: Path) -> Stored:
+def _stored(folder: Path, index: Index | None) -> Stored:
     """The newest checkpoint, with an index that has all columns of a world."""
-    stored = Stored(folder, KIND)
+    stored = Stored(folder, KIND, index)
     names = stored.layout.get(_BODIES, {})
     missing = [name for name in _REQUIRED if name not in names]
     missing += [_COUNT] if _VERTICES in stored.layout and _COUNT not in names else []

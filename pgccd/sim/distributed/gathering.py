@@ -39,7 +39,7 @@ def gather_sample(
         columns = found.columns
         columns["pairs"] = step.share.held.id[found.pairs]
         contacts = gather_columns(comm, take_rows(columns, torch.nonzero(columns["pairs"][:, 0] % one_in == 0)[:, 0]))
-        ids = comm.broadcast_object(contacts["pairs"].unique().cpu() if one_in > 1 else ids)
+        ids = comm.broadcast(contacts["pairs"].unique() if one_in > 1 else ids)
 
     def gather(columns: Columns) -> Columns:
         id = columns["id"]

@@ -11,7 +11,7 @@ import torch
 
 from pgccd.detection.broad import BroadPhase
 from pgccd.distributed.checkpoint.partition import load_partition, stored_kind
-from pgccd.distributed.checkpoint.reading import load_share
+from pgccd.distributed.checkpoint.reading import load_share, open_stored
 from pgccd.distributed.checkpoint.shared_folder import hold_together
 from pgccd.distributed.checkpoint.writing import CheckpointWriter
 from pgccd.distributed.comm.interface import Comm
@@ -138,9 +138,9 @@ def resume(
         >>> pgccd.sim.distributed.resume(comm, "out/million", steps=200)
     """
     folder, options = Path(folder), options or DistributedOptions()
-    stored = on_first(comm, lambda: require_checkpoint(folder))  # before anything is written to the folder
+    on_first(comm, lambda: require_checkpoint(folder) and None)  # before anything is written to the folder
     with hold_together(comm, folder):
-        stored = on_first(comm, lambda: require_checkpoint(folder))
+        stored = open_stored(comm, lambda index: require_checkpoint(folder, index))
         header = stored.run
         model, steps = together(comm, lambda: continued(folder, header, steps, meshes, device))
         _compare(comm, model, steps, folder, checkpoint_every, options)
