@@ -14,7 +14,7 @@ from torch import Tensor
 
 from pgccd.distributed.comm.interface import Comm, Pending, messages
 from pgccd.distributed.comm.objects import Objects, decode, encode, require_sizes
-from pgccd.distributed.comm.torch_comm import GroupObjects
+from pgccd.distributed.comm.torch_comm import NO_TIMEOUT, GroupObjects
 from pgccd.distributed.guard import Guard
 
 # Environment variables that make MPI libraries read GPU memory, or declare that they do.
@@ -163,7 +163,8 @@ class MpiComm(Comm):
     def background(self) -> Objects:
         if self.control is None:
             raise RuntimeError("control: checkpoints need a torch.distributed group beside MPI")
-        return GroupObjects(dist.new_group(backend="gloo"))
+        with self.guard.waiting("connection"):
+            return GroupObjects(dist.new_group(backend="gloo", timeout=NO_TIMEOUT))
 
     def close(self) -> None:
         self.guard.close()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import weakref
 from collections.abc import Callable, Sequence
+from datetime import timedelta
 from typing import Any
 
 import torch
@@ -29,6 +30,9 @@ from pgccd.runtime.events import gpu_finishes_within
 # After an error of this rank: the time for messages that other ranks may still send, and the time in which kernels end
 # after `stop_messages`. Together shorter than the guard's grace period, after which it ends the process.
 _LAST_MESSAGES_SECONDS, _STOP_SECONDS = 5.0, 2.0
+#: Time-out of Gloo's groups. The guard ends an exchange that takes too long; Gloo's clock also runs while the job is
+#: suspended.
+NO_TIMEOUT = timedelta(days=365)
 
 
 class GroupObjects(Objects):
@@ -201,7 +205,9 @@ class TorchComm(Comm):
     @functools.cached_property
     def background(self) -> Objects:
         ranks = dist.get_process_group_ranks(self._group)
-        return GroupObjects(dist.new_group(ranks, backend="gloo", use_local_synchronization=True))
+        with self.guard.waiting("connection"):
+            group = dist.new_group(ranks, backend="gloo", use_local_synchronization=True, timeout=NO_TIMEOUT)
+        return GroupObjects(group)
 
     def close_before(self, graph: Closeable) -> None:
         self._graphs.add(graph)

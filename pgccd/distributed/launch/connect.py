@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import socket
 from collections.abc import Mapping
-from datetime import timedelta
 from typing import Literal, NoReturn, get_args
 
 import torch
@@ -14,10 +13,11 @@ import torch.distributed as dist
 from pgccd.distributed.comm import nccl
 from pgccd.distributed.comm.interface import Alone, Comm
 from pgccd.distributed.comm.peer_access import read_setting
-from pgccd.distributed.comm.torch_comm import TorchComm
+from pgccd.distributed.comm.torch_comm import NO_TIMEOUT, TorchComm
 from pgccd.distributed.guard import Guard, Hub
 from pgccd.distributed.guard.channel import join, process_name
 from pgccd.distributed.launch.agreement import PROBLEM, agree_by_store
+from pgccd.distributed.launch.interfaces import interface_of, is_loopback
 from pgccd.distributed.launch.placement import Placement, find_placement
 from pgccd.distributed.launch.rendezvous import LOOPBACK, Meeting, meet
 from pgccd.distributed.launch.token import VARIABLE as TOKEN
@@ -26,6 +26,10 @@ from pgccd.distributed.launch.token import share_token
 Transport = Literal["auto", "nccl", "gloo", "torch-mpi", "mpi4py"]
 TRANSPORTS: tuple[str, ...] = get_args(Transport)
 DEFAULT_TIMEOUT = 300.0
+# Time for the hub to handle what ranks have sent before they agreed.
+_JOINED_SECONDS = 10.0
+# By which Gloo and NCCL choose an interface.
+_INTERFACES = ("GLOO_SOCKET_IFNAME", "NCCL_SOCKET_IFNAME")
 
 
 def choose_device(device: str | torch.device, placement: Placement | None = None) -> torch.device:
@@ -89,17 +93,16 @@ def connect(
     agree_by_store(store, placement, {**own, **(settings or {})}, timeout)
     if device.type == "cuda" and torch.cuda.is_available():
         torch.cuda.set_device(device)
-    if meeting.is_local:
-        _keep_to_this_machine()
     guard = _start_guard_on_all(meeting, placement, timeout)
     backend = _backend(transport, device, placement, store)
-    if backend == "nccl":
-        guard.is_broken = nccl.make_default_group(store, placement.rank, placement.size, timeout)
-    else:
-        dist.init_process_group(
-            backend, store=store, rank=placement.rank, world_size=placement.size, timeout=_delta(timeout)
-        )
-    control = dist.group.WORLD if backend == "gloo" else dist.new_group(backend="gloo", timeout=_delta(timeout))
+    with guard.waiting("connection"):
+        if backend == "nccl":
+            guard.is_broken = nccl.make_default_group(store, placement.rank, placement.size, timeout)
+        else:
+            dist.init_process_group(
+                backend, store=store, rank=placement.rank, world_size=placement.size, timeout=NO_TIMEOUT
+            )
+        control = dist.group.WORLD if backend == "gloo" else dist.new_group(backend="gloo", timeout=NO_TIMEOUT)
     comm: Comm
     if transport == "mpi4py":
         from pgccd.distributed.comm.mpi_comm import MpiComm
@@ -139,29 +142,59 @@ def _start_guard_on_all(meeting: Meeting, placement: Placement, timeout: float) 
             guard.close()
         raise
     assert guard is not None
+    _require_all(guard, placement)
+    _use_interface(guard, meeting, placement)
     return guard
 
 
 def _start_guard(meeting: Meeting, placement: Placement, timeout: float) -> Guard:
     token = share_token(meeting.store, placement, timeout)
-    host, hub = LOOPBACK if meeting.is_local else meeting.host, None
+    host, hub = LOOPBACK if meeting.is_local or placement.rank == 0 else meeting.host, None
     if placement.rank == 0:
-        hub = Hub(LOOPBACK if meeting.is_local else "", token, placement.size)
+        hub = Hub(LOOPBACK if meeting.is_local else "", token, placement.size, timeout)
         meeting.store.set("guard/port", str(hub.port))
     port = int(meeting.store.get("guard/port"))
     who = {"rank": placement.rank, "name": process_name()}
     return Guard(join((host, port), token, who, timeout), placement.rank, timeout, hub)
 
 
+def _require_all(guard: Guard, placement: Placement) -> None:
+    """Rank 0 goes on only once all ranks have proved to the hub that they belong to the job.
+
+    Raises:
+        RuntimeError: a process without the token is in the place of a rank.
+    """
+    if guard.hub is not None and not guard.hub.is_complete.wait(_JOINED_SECONDS):
+        missing = guard.hub.missing()
+        raise RuntimeError(
+            f"guard: ranks {missing[:8]} of {placement.size} have not proved that they belong to the job"
+        )
+
+
+def _use_interface(guard: Guard, meeting: Meeting, placement: Placement) -> None:
+    """Makes Gloo and NCCL use the interface of the guard's connection, unless another one is configured. By themselves
+    they look up the machine's name, which may be unknown, or be that of the loopback interface (127.0.1.1 on Debian).
+    """
+    if meeting.is_local:
+        _keep_to_this_machine()
+        return
+    if guard.hub is not None:  # all ranks have joined
+        meeting.store.set("guard/address", guard.hub.outer_address or "")
+    address = guard.address
+    # Ranks on the machine of rank 0 use the interface by which the others reach it.
+    if placement.rank == 0 or is_loopback(address):
+        address = meeting.store.get("guard/address").decode()
+    interface = interface_of(address) if address else None
+    if interface is not None:
+        for name in _INTERFACES:
+            os.environ.setdefault(name, interface)
+
+
 def _keep_to_this_machine() -> None:
     """Makes Gloo and NCCL listen on the loopback interface only, unless another one is configured."""
     if any(name == "lo" for _, name in socket.if_nameindex()):
-        os.environ.setdefault("GLOO_SOCKET_IFNAME", "lo")
-        os.environ.setdefault("NCCL_SOCKET_IFNAME", "lo")
-
-
-def _delta(seconds: float) -> timedelta:
-    return timedelta(seconds=seconds)
+        for name in _INTERFACES:
+            os.environ.setdefault(name, "lo")
 
 
 def _backend(transport: Transport, device: torch.device, placement: Placement, store: dist.Store) -> str:
