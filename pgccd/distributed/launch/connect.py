@@ -17,6 +17,7 @@ from pgccd.distributed.comm.torch_comm import NO_TIMEOUT, TorchComm
 from pgccd.distributed.guard import Guard, Hub
 from pgccd.distributed.guard.channel import join, process_name
 from pgccd.distributed.launch.agreement import PROBLEM, agree_by_store
+from pgccd.distributed.launch.code import code_facts
 from pgccd.distributed.launch.interfaces import interface_of, is_loopback
 from pgccd.distributed.launch.placement import Placement, find_placement
 from pgccd.distributed.launch.rendezvous import LOOPBACK, Meeting, meet
@@ -88,7 +89,7 @@ def connect(
         tell_problem(str(error), timeout)
     meeting = meet(placement, timeout)
     store = meeting.store
-    own = {"device": device.type, "transport": transport, "timeout": f"{timeout:g}"}
+    own = {**code_facts(), "device": device.type, "transport": transport, "timeout": f"{timeout:g}"}
     own[TOKEN] = "a value" if os.environ.get(TOKEN) else "none"  # not compared: it would pass through the store
     agree_by_store(store, placement, {**own, **(settings or {})}, timeout)
     if device.type == "cuda" and torch.cuda.is_available():
