@@ -7,12 +7,12 @@ import os
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
+from io import BufferedReader
 from pathlib import Path
-from typing import BinaryIO
 
 
 @contextmanager
-def open_regular(path: Path, most_bytes: int | None = None, follows_links: bool = True) -> Iterator[BinaryIO]:
+def open_regular(path: Path, most_bytes: int | None = None, follows_links: bool = True) -> Iterator[BufferedReader]:
     """A file opened for reading.
 
     Args:

@@ -20,7 +20,6 @@ from pgccd.checkpoint.files import (
     FileEntry,
     file_entry,
     file_errors,
-    file_hash,
     orphans,
     rank_file,
     read_bytes,
@@ -30,6 +29,7 @@ from pgccd.checkpoint.files import (
     rows_hash,
     whole_number,
 )
+from pgccd.checkpoint.regular import open_regular
 
 #: The name of a checkpoint, and the content of its index.
 Index = tuple[str, dict[str, Any]]
@@ -88,10 +88,10 @@ class Stored:
         """
         for entry in files:
             path = self.folder / entry.name
-            with file_errors(path, "read"):
-                size = path.stat().st_size
+            with file_errors(path, "read"), open_regular(path) as file:
+                size = os.fstat(file.fileno()).st_size
                 if size == entry.bytes:
-                    digest = file_hash(path)
+                    digest = hashlib.file_digest(file, "sha256").hexdigest()
             if size != entry.bytes:
                 raise CheckpointError(f"{path} is damaged: it has {size} bytes instead of {entry.bytes}")
             if digest != entry.sha256:

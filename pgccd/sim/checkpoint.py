@@ -116,8 +116,9 @@ def require_checkpoint(run_folder: Path, index: Index | None = None) -> StoredCh
     return found
 
 
-def save_checkpoint(run_folder: str | Path, checkpoint: Checkpoint) -> Path:
-    """Writes a checkpoint of one process to `run_folder`, and makes it the newest one.
+def save_checkpoint(run_folder: str | Path, checkpoint: Checkpoint, keep: int = files.KEEP) -> Path:
+    """Writes a checkpoint of one process to `run_folder`, and makes it the newest one; of the others the `keep` - 1
+    newest remain.
 
     Returns:
         Its folder.
@@ -134,7 +135,7 @@ def save_checkpoint(run_folder: str | Path, checkpoint: Checkpoint) -> Path:
     content = Content(KIND, checkpoint.steps_made, checkpoint.plain)
     try:
         entry = files.write_tables(root / name, 0, tables)
-        return files.publish(root, name, content, files.layout_of(tables), [entry])
+        return files.publish(root, name, content, files.layout_of(tables), [entry], files.checked_keep(keep))
     except CheckpointError:
         files.discard(root, name)
         raise

@@ -38,6 +38,7 @@ class CheckpointWriter:
         comm: between the ranks; all methods are called by all ranks.
         folder: shared by all ranks.
         kind: of the checkpoints: see `pgccd.checkpoint.files.Content`.
+        keep: number of checkpoints to keep: the newest ones.
 
     Example:
         >>> writer = CheckpointWriter(comm, folder, "world")
@@ -45,8 +46,8 @@ class CheckpointWriter:
         >>> writer.finish()
     """
 
-    def __init__(self, comm: Comm, folder: Path, kind: str) -> None:
-        self._comm, self._kind = comm, kind
+    def __init__(self, comm: Comm, folder: Path, kind: str, keep: int = files.KEEP) -> None:
+        self._comm, self._kind, self._keep = comm, kind, keep
         self._root = folder / files.FOLDER
         self._background: Objects | None = None
         self._writing: tuple[Future[Path], threading.Thread] | None = None
@@ -125,7 +126,7 @@ class CheckpointWriter:
             if error is None:
                 try:
                     rows = [files.file_entry(entry) for entry, _ in of_ranks]
-                    files.publish(self._root, name, content, files.layout_of(tables), rows)
+                    files.publish(self._root, name, content, files.layout_of(tables), rows, self._keep)
                 except Exception as failed:
                     error = self._problem(name, failed)
             if error is not None:

@@ -11,7 +11,7 @@ from typing import Any
 import torch
 
 from pgccd import arguments
-from pgccd.checkpoint.files import CheckpointError
+from pgccd.checkpoint.files import CheckpointError, checked_keep
 from pgccd.checkpoint.stored import Index, Stored, has_checkpoint
 from pgccd.distributed.checkpoint.partition import load_partition, stored_kind
 from pgccd.distributed.checkpoint.reading import load_share, open_stored
@@ -34,9 +34,11 @@ _REQUIRED = ("id", "mesh_index", "position")
 _KNOWN = (*_REQUIRED, *OPTIONAL_COLUMNS, "self_collision", _COUNT)
 
 
-def save_state(comm: Comm, folder: str | PathLike[str], state: WorldState) -> Path:
+def save_state(comm: Comm, folder: str | PathLike[str], state: WorldState, keep: int) -> Path:
     """Writes a checkpoint from all ranks, and makes it the newest one in a folder; see `World.save`."""
     root = _folder_given(comm, folder)
+    keep = together(comm, lambda: checked_keep(keep))
+    require_agreement(comm, {"keep": keep})
     tables = {_BODIES: state.columns}
     if state.vertices is not None:
         tables[_VERTICES] = state.vertices.columns
@@ -44,7 +46,7 @@ def save_state(comm: Comm, folder: str | PathLike[str], state: WorldState) -> Pa
     cut |= {"lower": [float(x) for x in state.cut.lower], "upper": [float(x) for x in state.cut.upper]}
     header = {"meshes": meshes_digest(state.meshes.meshes), "cut": cut}
     with hold_together(comm, root):
-        writer = CheckpointWriter(comm, root, KIND)
+        writer = CheckpointWriter(comm, root, KIND, keep)
         writer.begin(state.steps_made, header, tables, state.partition)
         written = writer.finish()
     assert written is not None

@@ -9,6 +9,7 @@ from typing import Any
 
 import torch
 
+from pgccd.checkpoint.files import KEEP, checked_keep
 from pgccd.detection.broad import BroadPhase
 from pgccd.distributed.checkpoint.partition import load_partition, stored_kind
 from pgccd.distributed.checkpoint.reading import load_share, open_stored
@@ -24,6 +25,7 @@ from pgccd.geometry.mesh import Mesh
 from pgccd.sim.checkpoint import KIND, ROBOTS, Header, StoredCheckpoint, require_checkpoint
 from pgccd.sim.distributed.gathering import gather_sample
 from pgccd.sim.distributed.simulation import CommittedRankStep, DistributedSimulation, RankStep, starting_share
+from pgccd.sim.hashing import state_hash
 from pgccd.sim.log import StepLog
 from pgccd.sim.model import Model, ModelConfig, RobotState
 from pgccd.sim.progress import Progress
@@ -68,6 +70,7 @@ def run(
     progress: Progress | None = None,
     keep_last_step: bool = False,
     overwrite: bool = False,
+    keep: int = KEEP,
     notes: Mapping[str, Any] | None = None,
 ) -> Run:
     """Simulates a world from its start on all ranks; rank 0 writes `world.json` and `steps.jsonl`.
@@ -77,7 +80,7 @@ def run(
 
     Args:
         comm: between the ranks.
-        config, steps, folder, meshes, broad_phase, checkpoint_every, progress, overwrite, notes: as for
+        config, steps, folder, meshes, broad_phase, checkpoint_every, progress, overwrite, keep, notes: as for
             `pgccd.sim.run`; equal on all ranks.
         device: of this rank.
         options: of the distribution.
@@ -85,7 +88,8 @@ def run(
             million robots an even sample, whose size does not grow with the world.
 
     Returns:
-        The run; without records on ranks other than 0. With `keep_last_step` rank 0 has the gathered state.
+        The run; without its folder and records on ranks other than 0. With `keep_last_step` rank 0 has the gathered
+        state.
 
     Raises:
         ValueError: naming the argument; on all ranks.
@@ -98,7 +102,7 @@ def run(
     if steps < 0:
         raise ValueError(f"steps: expected a number >= 0, got {steps}")
     model = together(comm, lambda: Model(config, meshes, device))
-    _compare(comm, model, steps, folder, checkpoint_every, options)
+    _compare(comm, model, steps, folder, checkpoint_every, options, keep)
 
     with hold_together(comm, folder):
         on_first(comm, lambda: begin(folder, model.describe() | dict(notes or {}), overwrite))
@@ -107,7 +111,7 @@ def run(
         simulation = DistributedSimulation.create(
             comm, model, partition, start, options.balance, options.overlap, broad_phase
         )
-        return _continue(simulation, 0, steps, folder, checkpoint_every, progress, keep_last_step)
+        return _continue(simulation, 0, steps, folder, checkpoint_every, progress, keep_last_step, keep)
 
 
 def resume(
@@ -122,12 +126,14 @@ def resume(
     checkpoint_every: int = 0,
     progress: Progress | None = None,
     keep_last_step: bool = False,
+    keep: int = KEEP,
 ) -> Run:
     """Continues a run from its newest checkpoint, on any number of ranks, with the same result as without interruption.
     The checkpoint may be from `pgccd.sim.run`.
 
     Args:
-        comm, folder, meshes, device, broad_phase, options, checkpoint_every, progress, keep_last_step: as for `run`.
+        comm, folder, meshes, device, broad_phase, options, checkpoint_every, progress, keep_last_step, keep: as
+            for `run`.
         steps: total number of steps; default: that of the run.
 
     Raises:
@@ -143,14 +149,14 @@ def resume(
         stored = open_stored(comm, lambda index: require_checkpoint(folder, index))
         header = stored.run
         model, steps = together(comm, lambda: continued(folder, header, steps, meshes, device))
-        _compare(comm, model, steps, folder, checkpoint_every, options)
+        _compare(comm, model, steps, folder, checkpoint_every, options, keep)
         state = load_robots(comm, stored).to(model.device)
         partition = load_partition(comm, stored, _partition(comm, model, options, stored_kind(stored)))
         simulation = DistributedSimulation.create(
             comm, model, partition, state, options.balance, options.overlap, broad_phase
         )
         made = header.steps_made
-        return _continue(simulation, made, steps, folder, checkpoint_every, progress, keep_last_step)
+        return _continue(simulation, made, steps, folder, checkpoint_every, progress, keep_last_step, keep)
 
 
 def load_robots(comm: Comm, stored: StoredCheckpoint) -> RobotState:
@@ -159,10 +165,11 @@ def load_robots(comm: Comm, stored: StoredCheckpoint) -> RobotState:
 
 
 def _compare(
-    comm: Comm, model: Model, steps: int, folder: Path, checkpoint_every: int, options: DistributedOptions
+    comm: Comm, model: Model, steps: int, folder: Path, checkpoint_every: int, options: DistributedOptions, keep: int
 ) -> None:
+    together(comm, lambda: checked_keep(keep))
     facts = {"configuration": model.config, "steps": steps, "folder": str(folder), "options": options}
-    facts |= {"checkpoint_every": checkpoint_every, "device": model.device.type}
+    facts |= {"checkpoint_every": checkpoint_every, "keep": keep, "device": model.device.type}
     facts |= {"meshes": meshes_digest(model.meshes.meshes), "transport": comm.transport}
     require_agreement(comm, facts)
 
@@ -176,9 +183,9 @@ def _partition(comm: Comm, model: Model, options: DistributedOptions, former: st
 class _SimulationMachine:
     """A simulation as `Machine` of `drive`."""
 
-    def __init__(self, simulation: DistributedSimulation, folder: Path, digest: str) -> None:
+    def __init__(self, simulation: DistributedSimulation, folder: Path, digest: str, keep: int) -> None:
         self.simulation, self._digest = simulation, digest
-        self._checkpoints = CheckpointWriter(simulation.comm, folder, KIND)
+        self._checkpoints = CheckpointWriter(simulation.comm, folder, KIND, keep)
         self.last_step: RankStep | None = None
         self._asked = False  # on this rank
         self._stopping: bool | None = None  # on all ranks; None before the first step
@@ -214,15 +221,18 @@ def _continue(
     checkpoint_every: int,
     progress: Progress | None,
     keep_last_step: bool,
+    keep: int,
 ) -> Run:
     comm, model = simulation.comm, simulation.model
-    machine = _SimulationMachine(simulation, folder, meshes_digest(model.meshes.meshes))
-    log = together(comm, lambda: StepLog(folder, steps_made) if comm.rank == 0 else None)
+    machine = _SimulationMachine(simulation, folder, meshes_digest(model.meshes.meshes), keep)
+    signed = (state_hash(simulation.state) + 2**63) % 2**64 - 2**63
+    total = int(comm.sum(torch.tensor([signed]))) % 2**64
+    log = together(comm, lambda: StepLog(folder, steps_made, f"{total:016x}") if comm.rank == 0 else None)
     made = drive(machine, log, steps_made, steps, checkpoint_every, progress)
     comm.barrier()  # rank 0 has completed the last checkpoint
     state, last_step = simulation.state, None
     one_in = -(-model.config.robots // _MOST_GATHERED) if keep_last_step else 1
     if keep_last_step:
         state, last_step = gather_sample(comm, state, machine.last_step, one_in)
-    records = [] if log is None else log.records
-    return Run(model, state, made, records, last_step, interrupted=made < steps, one_in=one_in)
+    of_first = None if log is None else folder
+    return Run(model, state, made, of_first, last_step, interrupted=made < steps, one_in=one_in)
