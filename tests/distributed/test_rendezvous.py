@@ -128,7 +128,7 @@ def test_steps_have_files_of_their_own(step: dict[str, str], monkeypatch: pytest
     """Ports by a formula were the same for steps 100.31 and 101.0."""
     names = []
     monkeypatch.setattr(rendezvous._AddressFile, "wait", lambda self, timeout: names.append(self._name) or ("", 0))
-    monkeypatch.setattr(rendezvous, "_connect_store", lambda *arguments, **named: None)
+    monkeypatch.setattr(rendezvous, "connect_store", lambda *arguments, **named: None)
     monkeypatch.setattr(rendezvous, "agree_on_start", lambda *arguments: None)
     for job, number, cluster in (("100", "31", "a/b"), ("101", "0", "a/b"), ("101", "0", "c")):
         monkeypatch.setenv("SLURM_JOB_ID", job)

@@ -100,6 +100,8 @@ class TorchComm(Comm):
         self._on_close = on_close
         read_setting()  # raises an error now, not at the first graph
         self._is_closed = False
+        #: What must exist as long as this connection.
+        self.kept: Any = None
         self._graphs: weakref.WeakSet[Closeable] = weakref.WeakSet()
         # Earlier graphs use earlier ones.
         self._peer_memories: list[PeerMemory] = []

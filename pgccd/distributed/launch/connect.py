@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import socket
 from collections.abc import Mapping
-from typing import Literal, NoReturn, get_args
+from typing import Any, Literal, NoReturn, get_args
 
 import torch
 import torch.distributed as dist
@@ -18,6 +18,7 @@ from pgccd.distributed.guard import Guard, Hub
 from pgccd.distributed.guard.channel import join, process_name
 from pgccd.distributed.launch.agreement import PROBLEM, agree_by_store
 from pgccd.distributed.launch.code import code_facts
+from pgccd.distributed.launch.existing import of_group, require_usable
 from pgccd.distributed.launch.interfaces import interface_of, is_loopback
 from pgccd.distributed.launch.placement import Placement, find_placement
 from pgccd.distributed.launch.rendezvous import LOOPBACK, Meeting, meet
@@ -52,8 +53,10 @@ def connect(
     transport: Transport = "auto",
     timeout: float = DEFAULT_TIMEOUT,
     settings: Mapping[str, str] | None = None,
+    group: dist.ProcessGroup | None = None,
 ) -> Comm:
-    """Connects all processes that were launched together; a single rank without a launcher.
+    """Connects all processes that were launched together, or those of a process group of torch.distributed; a single
+    rank without a launcher.
 
     Args:
         device: of the data.
@@ -61,10 +64,13 @@ def connect(
             NCCL if every rank has a GPU of its own, else Gloo.
         timeout: seconds after which a pending exchange ends the job.
         settings: of the program, by name; compared between ranks first, together with the arguments above.
+        group: a process group whose ranks all call this; it is not destroyed by `Comm.close`. Default: the default
+            process group if it has been initialised, else one is made. Its own time-out ends exchanges too: give it a
+            long one, so that the guard names the rank at fault.
 
     Raises:
         DisagreementError: ranks have different settings; on all of them.
-        ValueError: naming the argument or environment variable.
+        TypeError, ValueError: naming the argument or environment variable.
         ImportError: mpi4py is needed and not installed.
         RuntimeError: other ranks are missing after the time-out.
 
@@ -76,6 +82,8 @@ def connect(
         raise ValueError(f"transport: expected one of {list(TRANSPORTS)}, got {transport!r}")
     if not 0.0 < timeout < 1e9:
         raise ValueError(f"timeout: expected seconds > 0, got {timeout}")
+    if group is not None or dist.is_initialized():
+        return _connect_group(group or dist.group.WORLD, device, transport, timeout, settings or {})
     placement = find_placement()
     if placement.size == 1:
         return Alone()
@@ -85,6 +93,9 @@ def connect(
         tell_problem(f"device: {error}", timeout)
     try:
         read_setting()
+        _require_interfaces()
+        if transport == "nccl" and not (dist.is_nccl_available() and torch.cuda.is_available()):
+            raise ValueError("transport: 'nccl' needs a GPU and a torch that was built with NCCL")
     except ValueError as error:
         tell_problem(str(error), timeout)
     meeting = meet(placement, timeout)
@@ -112,6 +123,31 @@ def connect(
     else:
         comm = TorchComm(dist.group.WORLD, control, guard, dist.destroy_process_group)
     return comm
+
+
+def _connect_group(
+    group: Any, device: str | torch.device, transport: Transport, timeout: float, settings: Mapping[str, str]
+) -> Comm:
+    backend = require_usable(group, transport)
+    if dist.get_world_size(group) == 1:
+        return Alone()
+    read_setting()
+    facts = {"device": torch.device(device).type, "transport": transport, "timeout": f"{timeout:g}", **settings}
+    facts[TOKEN] = "a value" if os.environ.get(TOKEN) else "none"
+    comm, meeting, placement = of_group(group, backend, timeout, facts)
+    comm.guard = _start_guard_on_all(meeting, placement, timeout)
+    comm.kept = meeting.store  # other ranks may still read it
+    return comm
+
+
+def _require_interfaces() -> None:
+    """Raises ValueError if GLOO_SOCKET_IFNAME names an interface that this machine does not have."""
+    there = [name for _, name in socket.if_nameindex()]
+    for name in filter(None, os.environ.get("GLOO_SOCKET_IFNAME", "").split(",")):
+        if name not in there:
+            raise ValueError(
+                f"GLOO_SOCKET_IFNAME: {socket.gethostname()} has no interface {name!r}, but {', '.join(there)}"
+            )
 
 
 def tell_problem(problem: str, timeout: float = DEFAULT_TIMEOUT) -> NoReturn:

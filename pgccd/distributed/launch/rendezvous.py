@@ -57,7 +57,7 @@ def meet(placement: Placement, timeout: float) -> Meeting:
     if placement.launcher == "torchrun":
         run = os.environ.get("TORCHELASTIC_RUN_ID", "run")
         host, port = _variable("MASTER_ADDR"), _port(_variable("MASTER_PORT"))
-        common = _connect_store(host, port, placement, timeout, keeps=not agent_keeps_store())
+        common = connect_store(host, port, placement, timeout, keeps=not agent_keeps_store())
         store = agree_on_start(dist.PrefixStore(f"pgccd/{run}", common), placement, timeout)
         return Meeting(store, host, is_loopback(host) or placement.is_one_machine)
     if placement.launcher == "srun":
@@ -115,14 +115,14 @@ def _meet_by_srun(placement: Placement, timeout: float) -> Meeting:
     given = os.environ.get("MASTER_PORT") or os.environ.get("SLURM_STEP_RESV_PORTS", "").partition("-")[0]
     if given:
         host = host or first_host(_variable("SLURM_STEP_NODELIST"))
-        return Meeting(_connect_store(host, _port(given), placement, timeout, keeps=True), host, is_loopback(host))
+        return Meeting(connect_store(host, _port(given), placement, timeout, keeps=True), host, is_loopback(host))
     file = _AddressFile(re.sub(r"[^\w.-]", "_", name))
     if placement.rank != 0:
         host, port = file.wait(timeout)
-        store: dist.Store = _connect_store(host, port, placement, timeout, keeps=True)
+        store: dist.Store = connect_store(host, port, placement, timeout, keeps=True)
         return Meeting(agree_on_start(store, placement, timeout), host, is_loopback(host))
     hosts = [host] if host else [first_host(_variable("SLURM_STEP_NODELIST")), *outer_addresses()]
-    kept = _connect_store(hosts[0], 0, placement, timeout, keeps=True)
+    kept = connect_store(hosts[0], 0, placement, timeout, keeps=True)
     with file.told(hosts, kept.port):
         store = agree_on_start(kept, placement, timeout)
     return Meeting(store, hosts[0], is_loopback(hosts[0]))
@@ -202,12 +202,23 @@ def _meet_by_mpi(placement: Placement, timeout: float) -> Meeting:
     host = LOOPBACK if len(set(hosts)) == 1 else os.environ.get("MASTER_ADDR", hosts[0])
     store = None
     if placement.rank == 0:
-        store = _connect_store(host, 0, placement, timeout, keeps=True)
+        store = connect_store(host, 0, placement, timeout, keeps=True)
     port = objects.broadcast(store.port if store is not None else None)
-    return Meeting(store or _connect_store(host, port, placement, timeout, keeps=True), host, is_loopback(host))
+    return Meeting(store or connect_store(host, port, placement, timeout, keeps=True), host, is_loopback(host))
 
 
-def _connect_store(host: str, port: int, placement: Placement, timeout: float, keeps: bool) -> dist.TCPStore:
+def connect_store(host: str, port: int, placement: Placement, timeout: float, keeps: bool) -> dist.TCPStore:
+    """The store of all ranks.
+
+    Args:
+        host, port: of rank 0; port 0: any free one.
+        placement: of this rank.
+        timeout: seconds, also of the store's own.
+        keeps: whether rank 0 hosts it.
+
+    Raises:
+        RuntimeError: naming MASTER_ADDR or MASTER_PORT.
+    """
     common: dict[str, Any] = {"timeout": timedelta(seconds=timeout), "wait_for_workers": False}
     if not (keeps and placement.rank == 0):
         return _join_store(host, port, placement.size, timeout, common)
@@ -263,6 +274,20 @@ def _join_store(host: str, port: int, size: int, timeout: float, common: dict[st
     if isinstance(store, Exception):
         raise store
     return store
+
+
+def join_first(hosts: Sequence[str], port: int, size: int, timeout: float) -> tuple[dist.TCPStore, str]:
+    """Connects to a store at the first of several addresses of its machine that can be reached; returns that too.
+
+    Raises:
+        RuntimeError: none can be.
+    """
+    for host in hosts:
+        with suppress(OSError):
+            socket.create_connection((host, port), timeout=_REACH_SECONDS).close()
+            common = {"timeout": timedelta(seconds=timeout), "wait_for_workers": False}
+            return _join_store(host, port, size, timeout, common), host
+    raise RuntimeError(f"rank 0 cannot be reached at any of {', '.join(hosts)}, port {port}")
 
 
 def _wait_until_reached(host: str, port: int, timeout: float) -> None:
