@@ -60,9 +60,6 @@ class Run:
 
         Args:
             with_ranks: whether records have the object `ranks`, whose size grows with the number of ranks.
-
-        Example:
-            >>> sum(record["contacts"] for record in finished.iterate())
         """
         if self.folder is not None:
             for record in iterate_log(self.folder, with_ranks):

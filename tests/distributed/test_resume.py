@@ -30,7 +30,7 @@ from pgccd.sim.response import respond
 CONFIG = sim.ModelConfig(robots=240, pattern="skewed", speed=0.25, seed=5)
 
 
-EAGER = BalanceOptions("cost", start=0.0, goal=0.0, moving=0.0)
+EAGER = BalanceOptions("cost", start=0.0, goal=0.0, moving=0.0, deciding=0.0)
 
 
 def go_on(comm: Comm, folder: str, kind: str = "cells") -> list[dict[str, Any]]:

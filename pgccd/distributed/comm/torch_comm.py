@@ -76,6 +76,7 @@ class TorchComm(Comm):
 
     Attributes:
         control: the group for objects and checkpoints.
+        kept: what must exist as long as this connection, such as the store of a group's ranks.
 
     Example:
         >>> torch.distributed.init_process_group("nccl")
@@ -100,7 +101,6 @@ class TorchComm(Comm):
         self._on_close = on_close
         read_setting()  # raises an error now, not at the first graph
         self._is_closed = False
-        #: What must exist as long as this connection.
         self.kept: Any = None
         self._graphs: weakref.WeakSet[Closeable] = weakref.WeakSet()
         # Earlier graphs use earlier ones.
