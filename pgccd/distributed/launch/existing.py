@@ -7,12 +7,10 @@ from collections.abc import Mapping
 
 import torch.distributed as dist
 
-from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.comm.torch_comm import NO_TIMEOUT, TorchComm
-from pgccd.distributed.launch.agreement import require_agreement, together
-from pgccd.distributed.launch.interfaces import outer_addresses
+from pgccd.distributed.launch.agreement import require_agreement
 from pgccd.distributed.launch.placement import Placement
-from pgccd.distributed.launch.rendezvous import LOOPBACK, Meeting, connect_store, join_first
+from pgccd.distributed.launch.rendezvous import Meeting, meet_at_first
 
 BACKENDS = ("gloo", "nccl", "mpi")
 
@@ -54,15 +52,4 @@ def of_group(
     hosts = comm.broadcast_object(comm.gather_objects(socket.gethostname()))
     is_local = len(set(hosts)) == 1
     placement = Placement("a process group", comm.rank, comm.size, hosts[: comm.rank].count(hosts[comm.rank]), is_local)
-    return comm, _meet(comm, placement, timeout), placement
-
-
-def _meet(comm: Comm, placement: Placement, timeout: float) -> Meeting:
-    store, where = None, None
-    hosts = [LOOPBACK] if placement.is_one_machine else [*outer_addresses(), socket.gethostname()]
-    if comm.rank == 0:
-        store = connect_store(hosts[0], 0, placement, timeout, keeps=True)
-        where = [hosts, store.port]
-    hosts, port = comm.broadcast_object(where)
-    joined = together(comm, lambda: (store, LOOPBACK) if store else join_first(hosts, port, comm.size, timeout))
-    return Meeting(*joined, placement.is_one_machine)
+    return comm, meet_at_first(comm.broadcast_object, placement, is_local, timeout), placement

@@ -14,7 +14,7 @@ import sys
 import threading
 import time
 import uuid
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import timedelta
@@ -198,13 +198,36 @@ def _meet_by_mpi(placement: Placement, timeout: float) -> Meeting:
             "they belong to different MPIs"
         )
     objects = MpiObjects(world)
-    hosts = objects.broadcast(objects.gather(socket.gethostname()))
-    host = LOOPBACK if len(set(hosts)) == 1 else os.environ.get("MASTER_ADDR", hosts[0])
-    store = None
+    names = objects.broadcast(objects.gather(socket.gethostname()))
+    return meet_at_first(objects.broadcast, placement, len(set(names)) == 1, timeout, os.environ.get("MASTER_ADDR"))
+
+
+def meet_at_first(
+    broadcast: Callable[[Any], Any],
+    placement: Placement,
+    is_one_machine: bool,
+    timeout: float,
+    address: str | None = None,
+) -> Meeting:
+    """At a free port of rank 0, which tells it and the addresses of its machine, or the one given, by a broadcast.
+
+    Raises:
+        RuntimeError: rank 0 cannot be reached, naming MASTER_ADDR.
+    """
+    hosts = [address] if address else [socket.gethostname(), *outer_addresses()]
+    hosts = [LOOPBACK] if is_one_machine else hosts
+    store, where = None, None
     if placement.rank == 0:
-        store = connect_store(host, 0, placement, timeout, keeps=True)
-    port = objects.broadcast(store.port if store is not None else None)
-    return Meeting(store or connect_store(host, port, placement, timeout, keeps=True), host, is_loopback(host))
+        store = connect_store(hosts[-1], 0, placement, timeout, keeps=True)
+        where = [hosts, store.port]
+    hosts, port = broadcast(where)
+    if store is not None:
+        return Meeting(store, hosts[0], is_one_machine)
+    for host in hosts:
+        with suppress(OSError):
+            socket.create_connection((host, port), timeout=_REACH_SECONDS).close()
+            return Meeting(connect_store(host, port, placement, timeout, keeps=True), host, is_one_machine)
+    raise RuntimeError(f"MASTER_ADDR: rank 0 cannot be reached at {' or '.join(hosts)}, port {port}")
 
 
 def connect_store(host: str, port: int, placement: Placement, timeout: float, keeps: bool) -> dist.TCPStore:
@@ -274,20 +297,6 @@ def _join_store(host: str, port: int, size: int, timeout: float, common: dict[st
     if isinstance(store, Exception):
         raise store
     return store
-
-
-def join_first(hosts: Sequence[str], port: int, size: int, timeout: float) -> tuple[dist.TCPStore, str]:
-    """Connects to a store at the first of several addresses of its machine that can be reached; returns that too.
-
-    Raises:
-        RuntimeError: none can be.
-    """
-    for host in hosts:
-        with suppress(OSError):
-            socket.create_connection((host, port), timeout=_REACH_SECONDS).close()
-            common = {"timeout": timedelta(seconds=timeout), "wait_for_workers": False}
-            return _join_store(host, port, size, timeout, common), host
-    raise RuntimeError(f"rank 0 cannot be reached at any of {', '.join(hosts)}, port {port}")
 
 
 def _wait_until_reached(host: str, port: int, timeout: float) -> None:
