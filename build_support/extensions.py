@@ -8,6 +8,7 @@ TORCH_CUDA_ARCH_LIST, CXX, MAX_JOBS (parallel compilers), NVCC_APPEND_FLAGS.
 """
 
 import fcntl
+import hashlib
 import logging
 import os
 import platform
@@ -58,6 +59,15 @@ def describe_commit() -> str:
     command = ["git", "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"]
     answer = subprocess.run(command, cwd=ROOT, capture_output=True, text=True) if (ROOT / ".git").exists() else None
     return answer.stdout.strip() if answer and answer.returncode == 0 else "unknown"
+
+
+def digest_sources() -> str:
+    """Of the C++ and CUDA sources, by which ranks compare what they run: binaries differ from build to build."""
+    digest = hashlib.sha256()
+    for path in sorted(Path("csrc").rglob("*")):
+        if path.suffix in (".h", ".cpp", ".cu", ".cuh"):
+            digest.update(f"{path.as_posix()}\0{path.stat().st_size}\0".encode() + path.read_bytes())
+    return digest.hexdigest()[:16]
 
 
 def describe_compiler() -> str:
@@ -162,6 +172,7 @@ def host_module() -> Extension:
     build_information = {
         "PGCCD_VERSION": version,
         "PGCCD_BUILD_COMMIT": describe_commit(),
+        "PGCCD_BUILD_SOURCES": digest_sources(),
         "PGCCD_BUILD_COMPILER": describe_compiler(),
         "PGCCD_BUILD_TORCH": torch.__version__,
         "PGCCD_BUILD_CUDA": toolkit.version if toolkit else "",

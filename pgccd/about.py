@@ -24,6 +24,7 @@ def describe_installation() -> dict[str, str]:
     return {
         "pgccd": build["version"],
         "commit": build["commit"] or "unknown",
+        "C++ sources": build["sources"],
         "compiler": build["compiler"],
         "CUDA of this build": build["cuda"] or "none",
         "CUDA architectures": build["cuda_architectures"] or "none",

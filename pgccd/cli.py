@@ -15,9 +15,11 @@ import torch
 import pgccd
 from pgccd import distributed, sim
 from pgccd.about import describe_installation
+from pgccd.checkpoint.files import KEEP
 from pgccd.checkpoint.lock import FolderError
 from pgccd.detection.broad import BROAD_PHASES
 from pgccd.detection.narrow import REPORTS
+from pgccd.distributed.checkpoint.reading import open_stored
 from pgccd.distributed.launch.agreement import on_first, together
 from pgccd.files import load_motion, load_scene
 from pgccd.geometry.origin import Origin
@@ -27,7 +29,7 @@ from pgccd.sim.distributed import command
 from pgccd.sim.pictures import shown_steps, write_pictures
 from pgccd.sim.progress import Progress, terminal_progress
 from pgccd.sim.run_folder import mesh_files
-from pgccd.sim.summary import summary_lines, totals
+from pgccd.sim.summary import Totals
 from pgccd.viz import Page
 from pgccd.viz.animation import AnyMotion
 from pgccd.viz.display import is_page, open_page, require_writable
@@ -164,6 +166,7 @@ def _build_parser() -> argparse.ArgumentParser:
     add("--seed", type=int, help="random seed (0)")
     add("--out", type=Path, metavar="DIR", help="folder of the log, checkpoints and pictures (out/simulate)")
     add("--checkpoint-every", type=int, default=0, metavar="K", help="steps between checkpoints (one at the end)")
+    add("--keep", type=int, default=KEEP, metavar="N", help=f"checkpoints to keep: the newest ones ({KEEP})")
     add("--resume", metavar="DIR", help="continue the run in this folder; auto: the one in --out, if there is one")
     add("--overwrite", action="store_true", help="replace an earlier run in --out")
     add("--no-pictures", action="store_true", help="do not write world.png and world.html")
@@ -190,6 +193,8 @@ def _check_simulate(options: argparse.Namespace) -> None:
         raise ArgumentError("--steps", f"expected a number >= 0, got {options.steps}")
     if options.checkpoint_every < 0:
         raise ArgumentError("--checkpoint-every", f"expected a number >= 0, got {options.checkpoint_every}")
+    if options.keep < 1:
+        raise ArgumentError("--keep", f"expected at least 1, got {options.keep}")
 
 
 def _simulate(options: argparse.Namespace) -> int:
@@ -215,11 +220,12 @@ def _simulate(options: argparse.Namespace) -> int:
 
 
 def _print_run(finished: sim.Run, folder: Path, options: argparse.Namespace) -> None:
+    totals = Totals(finished)
     if not (options.quiet or options.json):
-        for line in summary_lines(finished):
+        for line in totals.lines:
             print(line)
         print(f"log: {folder / sim.LOG_FILE}")
-    figures = totals(finished)
+    figures = totals.figures
     if not options.no_pictures:
         try:
             figures |= write_pictures(finished, folder)
@@ -240,7 +246,7 @@ def _print_run(finished: sim.Run, folder: Path, options: argparse.Namespace) -> 
 def _run_or_resume(options: argparse.Namespace, device: torch.device, comm: distributed.Comm) -> tuple[sim.Run, Path]:
     out = options.out or Path("out/simulate")
     settings: dict[str, Any] = {"device": device, "broad_phase": options.broad_phase}
-    settings["checkpoint_every"] = options.checkpoint_every
+    settings |= {"checkpoint_every": options.checkpoint_every, "keep": options.keep}
     begin: Callable[..., sim.Run] = sim.run
     go_on: Callable[..., sim.Run] = sim.resume
     if comm.size > 1:
@@ -256,7 +262,7 @@ def _run_or_resume(options: argparse.Namespace, device: torch.device, comm: dist
     try:
         folder = command.folder_to_resume(comm, options.resume, out)
         if folder is not None:
-            header = on_first(comm, lambda: require_checkpoint(folder)).run
+            header = open_stored(comm, lambda index: require_checkpoint(folder, index)).run
             _require_same_world(folder, header, given)
             files = options.mesh or on_first(comm, lambda: mesh_files(folder))
             meshes = together(comm, lambda: _load_meshes(files, "--mesh", "centroid"))

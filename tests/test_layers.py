@@ -225,6 +225,7 @@ def test_few_files_know_what_carries_messages() -> None:
         "mpi_comm.py",
         # These start from a store shared by all ranks.
         "connect.py",
+        "existing.py",
         "rendezvous.py",
         "agreement.py",
         "token.py",

@@ -6,8 +6,9 @@ import os
 import re
 import secrets
 import shutil
+import time
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -20,6 +21,7 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from pgccd import arguments, ops
+from pgccd.checkpoint.regular import open_regular, read_regular
 from pgccd.runtime.hashing import row_hash
 
 FOLDER = "checkpoints"
@@ -45,10 +47,26 @@ Columns = Mapping[str, Tensor]
 _UNFINISHED_POINTER = ".pointer"
 # Number of rows hashed at a time.
 _BLOCK = 1 << 20
+# Largest sizes of the files in JSON: an index has some 400 bytes for each writing rank.
+_MOST_POINTER, _MOST_INDEX = 1 << 16, 1 << 28
+# Seconds until files of one machine are visible on another: network file systems cache folders.
+_SEEN_WITHIN = 20.0
+_MOST_TEXT = 240
+#: Number of checkpoints that are kept by default.
+KEEP = 2
 
 
 class CheckpointError(ValueError):
-    """A checkpoint cannot be read or written; the message names the file."""
+    """A checkpoint cannot be read or written; the message, one line, names the file."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(one_line(message))
+
+
+def one_line(text: str) -> str:
+    """A text that may quote a file, as one line of at most 240 characters, without its middle if it is longer."""
+    printable = "".join(each if each.isprintable() else " " for each in text)
+    return printable if len(printable) <= _MOST_TEXT else f"{printable[:150]} ... {printable[-_MOST_TEXT + 155 :]}"
 
 
 @contextmanager
@@ -86,6 +104,30 @@ class FileEntry:
     bytes: int
     sha256: str
     tables: Mapping[str, Rows] = field(default_factory=dict)
+
+
+def file_entry(content: Any) -> FileEntry:
+    """A file's entry from JSON.
+
+    Raises:
+        KeyError, TypeError, ValueError, AttributeError: it is none.
+    """
+    tables = {name: Rows(**rows) for name, rows in content["tables"].items()}
+    for rows in tables.values():
+        whole_number(rows.count), whole_number(rows.hash)
+    return FileEntry(**(content | {"bytes": whole_number(content["bytes"]), "tables": tables}))
+
+
+def whole_number(value: Any) -> int:
+    """The value, if it is an int >= 0."""
+    if type(value) is not int or value < 0:
+        raise ValueError("expected numbers >= 0")
+    return value
+
+
+def checked_keep(keep: Any) -> int:
+    """A number of checkpoints to keep, as an argument `keep`."""
+    return arguments.integer(keep, "keep", 1, "a number of checkpoints >= 1")
 
 
 def rank_file(rank: int) -> str:
@@ -157,8 +199,11 @@ def layout_of(tables: Mapping[str, Columns]) -> dict[str, dict[str, list[Any]]]:
     }
 
 
-def publish(root: Path, name: str, content: Content, layout: Mapping[str, Any], files: Sequence[FileEntry]) -> Path:
-    """Completes a checkpoint whose tables have been written, makes it the newest one, and removes all others.
+def publish(
+    root: Path, name: str, content: Content, layout: Mapping[str, Any], files: Sequence[FileEntry], keep: int = KEEP
+) -> Path:
+    """Completes a checkpoint whose tables have been written, once all their files are seen; makes it the newest one,
+    and removes all but the newest ones.
 
     Args:
         root: the folder `checkpoints`.
@@ -166,6 +211,7 @@ def publish(root: Path, name: str, content: Content, layout: Mapping[str, Any], 
         content: everything but the tables.
         layout: of the tables: see `layout_of`.
         files: of all ranks.
+        keep: number of checkpoints to keep, this one included.
 
     Returns:
         Its folder.
@@ -174,23 +220,26 @@ def publish(root: Path, name: str, content: Content, layout: Mapping[str, Any], 
         CheckpointError: it cannot be written; the previous one is kept.
     """
     folder = root / name
+    _require_seen(folder, files)
     index: dict[str, Any] = {"format": FORMAT, "kind": content.kind, "steps_made": content.steps_made}
     index |= {"header": content.header, "layout": layout, "files": [asdict(entry) for entry in files]}
     if content.shared:
         index["shared"] = asdict(_write_tensors(folder / SHARED, content.shared))
     with file_errors(folder, "written"):
         raw = json.dumps(index, indent=1).encode()
-        pointer = {"format": FORMAT, "kind": content.kind, "folder": name}
+        former = _former(root, keep - 1)
+        pointer: dict[str, Any] = {"format": FORMAT, "kind": content.kind, "folder": name, "former": former}
         pointer["index_sha256"] = hashlib.sha256(raw).hexdigest()
         unfinished = root / f"{name}{_UNFINISHED_POINTER}"
         _write_bytes(unfinished, json.dumps(pointer).encode())  # before the index: see `orphans`
         _write_bytes(folder / INDEX, raw)
+        _write_bytes(folder / POINTER, json.dumps(pointer | {"former": []}).encode())
         _sync(folder)
         _sync(root)  # syncs the entry of the new folder
         os.replace(unfinished, root / POINTER)
         _sync(root)
     try:
-        _remove_others(root, name)
+        _remove_others(root, {name, *former})
     except OSError as error:  # the new checkpoint is complete
         warnings.warn(f"{root}: previous checkpoints cannot be removed: {error.strerror or error}", stacklevel=2)
     return folder
@@ -199,12 +248,13 @@ def publish(root: Path, name: str, content: Content, layout: Mapping[str, Any], 
 def discard(root: Path, name: str) -> None:
     """Removes the files of an incomplete checkpoint, unless `newest.json` names it or cannot be read."""
     try:
-        named = json.loads((root / POINTER).read_bytes())["folder"]
+        pointer = json.loads(read_regular(root / POINTER, _MOST_POINTER))
+        named = {pointer["folder"], *_names(pointer.get("former"))}
     except FileNotFoundError:
-        named = None
-    except (OSError, ValueError, TypeError, KeyError):
+        named = set()
+    except (OSError, ValueError, TypeError, KeyError, RecursionError):
         return
-    if named != name:
+    if name not in named:
         shutil.rmtree(root / name, ignore_errors=True)
         with suppress(OSError):
             (root / f"{name}{_UNFINISHED_POINTER}").unlink()
@@ -228,7 +278,7 @@ def remove_all(root: Path) -> None:
     """Removes all checkpoints, but no other files."""
     if root.is_dir():
         (root / POINTER).unlink(missing_ok=True)  # first: what it names is complete as long as it exists
-        _remove_others(root, None)
+        _remove_others(root, set())
         with suppress(OSError):  # it is a link, or holds other files
             root.rmdir()
 
@@ -249,7 +299,7 @@ def read_pointer(root: Path, kind: str) -> tuple[str, str]:
         CheckpointError: it cannot be read, or the checkpoint is of another kind.
     """
     path = root / POINTER
-    content = read_json(path, read_bytes(path))
+    content = read_json(path, read_bytes(path, _MOST_POINTER))
     require_format(path, content, kind)
     name, digest = content.get("folder"), content.get("index_sha256")
     if not isinstance(name, str) or not NAME.fullmatch(name):
@@ -257,10 +307,10 @@ def read_pointer(root: Path, kind: str) -> tuple[str, str]:
     return name, str(digest)
 
 
-def read_bytes(path: Path) -> bytes:
-    """The content of a file; raises CheckpointError if it cannot be read."""
+def read_bytes(path: Path, most_bytes: int = _MOST_INDEX) -> bytes:
+    """The content of a file; raises CheckpointError if it cannot be read, is no regular file, or is too large."""
     with file_errors(path, "read"):
-        return path.read_bytes()
+        return read_regular(path, most_bytes)
 
 
 def read_json(path: Path, raw: bytes) -> dict[str, Any]:
@@ -284,7 +334,7 @@ def require_format(path: Path, content: Mapping[str, Any], kind: str) -> None:
 
 def file_hash(path: Path) -> str:
     """SHA-256 of a file."""
-    with open(path, "rb") as file:
+    with open_regular(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
@@ -315,10 +365,43 @@ def _sync(path: Path) -> None:
         os.close(descriptor)
 
 
-def _remove_others(root: Path, kept: str | None) -> None:
-    """Removes previous and incomplete checkpoints."""
+def _former(root: Path, count: int) -> list[str]:
+    """Names of the newest checkpoints so far, the newest first; none if there are none, or cannot be told."""
+    try:
+        pointer = json.loads(read_regular(root / POINTER, _MOST_POINTER))
+        names = _names([pointer["folder"], *_names(pointer.get("former"))])
+    except (OSError, ValueError, TypeError, KeyError, RecursionError):
+        return []
+    return [name for name in names if (root / name / INDEX).exists()][:count]
+
+
+def _names(value: Any) -> list[str]:
+    """The names of checkpoints in a list of a file."""
+    return [name for name in value or [] if isinstance(name, str) and NAME.fullmatch(name)]
+
+
+def _require_seen(folder: Path, files: Sequence[FileEntry]) -> None:
+    """Raises CheckpointError unless this machine sees the files of all ranks: another one may write to a folder of its
+    own.
+    """
+    deadline = time.monotonic() + _SEEN_WITHIN
+    for rank, entry in enumerate(files):
+        path = folder / rank_file(rank)
+        while True:
+            with suppress(OSError):
+                if entry.name == path.name and path.stat().st_size == entry.bytes:
+                    break
+            if time.monotonic() > deadline:
+                raise CheckpointError(f"{path}, which rank {rank} has written, is not seen by rank 0")
+            time.sleep(0.05)
+            with suppress(OSError):
+                os.listdir(folder)  # makes some network file systems refresh
+
+
+def _remove_others(root: Path, kept: Collection[str]) -> None:
+    """Removes earlier and incomplete checkpoints."""
     for other in list(root.iterdir()):
-        if other.name != kept and NAME.fullmatch(other.name.removesuffix(_UNFINISHED_POINTER)):
+        if other.name not in kept and NAME.fullmatch(other.name.removesuffix(_UNFINISHED_POINTER)):
             if other.is_dir() and not other.is_symlink():
                 shutil.rmtree(other, ignore_errors=True)
             else:

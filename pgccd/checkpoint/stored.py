@@ -18,10 +18,8 @@ from pgccd.checkpoint.files import (
     SHARED,
     CheckpointError,
     FileEntry,
-    Rows,
+    file_entry,
     file_errors,
-    file_hash,
-    layout_of,
     orphans,
     rank_file,
     read_bytes,
@@ -29,7 +27,12 @@ from pgccd.checkpoint.files import (
     read_pointer,
     require_format,
     rows_hash,
+    whole_number,
 )
+from pgccd.checkpoint.regular import open_regular
+
+#: The name of a checkpoint, and the content of its index.
+Index = tuple[str, dict[str, Any]]
 
 
 class Stored:
@@ -39,31 +42,30 @@ class Stored:
     Args:
         folder: parent of the folder `checkpoints`.
         kind: expected kind of checkpoint.
+        index: `index` as another rank has read it; default: it is read.
 
     Raises:
         CheckpointError: it cannot be read.
     """
 
-    def __init__(self, folder: Path, kind: str) -> None:
+    def __init__(self, folder: Path, kind: str, index: Index | None = None) -> None:
         root = folder / FOLDER
-        name, digest = read_pointer(root, kind)
+        #: The checkpoint's name, and the content of its index.
+        self.index = index = _read_index(root, kind) if index is None else index
+        name, content = index
         #: The folder of this checkpoint.
         self.folder = root / name
         path = self.folder / INDEX
-        raw = read_bytes(path)
-        if hashlib.sha256(raw).hexdigest() != digest:
-            raise CheckpointError(f"{path} is damaged: its hash is not the one in {POINTER}")
-        content = read_json(path, raw)
         require_format(path, content, kind)
         try:
-            self.steps_made: int = _number(content["steps_made"])
+            self.steps_made: int = whole_number(content["steps_made"])
             #: The header, not validated.
             self.header: dict[str, Any] = content["header"]
             #: Entries of the files, one per writing rank.
-            self.files = [_file_entry(entry) for entry in content["files"]]
+            self.files = [file_entry(entry) for entry in content["files"]]
             #: Empty columns of each table, by its name.
             self.layout = {table: _no_rows(columns) for table, columns in content["layout"].items()}
-            self._shared = _file_entry(content["shared"]) if "shared" in content else None
+            self._shared = file_entry(content["shared"]) if "shared" in content else None
             if not isinstance(self.header, dict) or not all(self.layout.values()):
                 raise ValueError("expected a header, and columns in every table")
             if [entry.name for entry in self.files] != [rank_file(rank) for rank in range(len(self.files))]:
@@ -73,13 +75,6 @@ class Stored:
         except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
             problem = str(error).splitlines()[0] if str(error) else type(error).__name__
             raise CheckpointError(f"{path} is not the index of a checkpoint: {problem}") from error
-
-    # Torch pickles no tensors of some dtypes, uint16 for example.
-    def __getstate__(self) -> dict[str, Any]:
-        return vars(self) | {"layout": layout_of(self.layout)}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update(state, layout={table: _no_rows(columns) for table, columns in state["layout"].items()})
 
     def row_count(self, table: str) -> int:
         """Number of rows of a table, over all files."""
@@ -93,10 +88,10 @@ class Stored:
         """
         for entry in files:
             path = self.folder / entry.name
-            with file_errors(path, "read"):
-                size = path.stat().st_size
+            with file_errors(path, "read"), open_regular(path) as file:
+                size = os.fstat(file.fileno()).st_size
                 if size == entry.bytes:
-                    digest = file_hash(path)
+                    digest = hashlib.file_digest(file, "sha256").hexdigest()
             if size != entry.bytes:
                 raise CheckpointError(f"{path} is damaged: it has {size} bytes instead of {entry.bytes}")
             if digest != entry.sha256:
@@ -199,20 +194,17 @@ def has_checkpoint(folder: Path) -> bool:
     return False
 
 
-def _number(value: Any) -> int:
-    if type(value) is not int or value < 0:
-        raise ValueError("expected numbers >= 0")
-    return value
-
-
-def _file_entry(content: Any) -> FileEntry:
-    tables = {name: Rows(**rows) for name, rows in content["tables"].items()}
-    for rows in tables.values():
-        _number(rows.count), _number(rows.hash)
-    return FileEntry(**(content | {"bytes": _number(content["bytes"]), "tables": tables}))
+def _read_index(root: Path, kind: str) -> Index:
+    name, digest = read_pointer(root, kind)
+    path = root / name / INDEX
+    raw = read_bytes(path)
+    if hashlib.sha256(raw).hexdigest() != digest:
+        raise CheckpointError(f"{path} is damaged: its hash is not the one in {POINTER}")
+    return name, read_json(path, raw)
 
 
 def _no_rows(columns: Mapping[str, Any]) -> dict[str, Tensor]:
     return {
-        name: torch.empty((0, *map(_number, shape)), dtype=DTYPES[dtype]) for name, (dtype, shape) in columns.items()
+        name: torch.empty((0, *map(whole_number, shape)), dtype=DTYPES[dtype])
+        for name, (dtype, shape) in columns.items()
     }

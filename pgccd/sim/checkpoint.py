@@ -8,7 +8,7 @@ import torch
 
 from pgccd.checkpoint import files
 from pgccd.checkpoint.files import CheckpointError, Content
-from pgccd.checkpoint.stored import Stored, has_checkpoint
+from pgccd.checkpoint.stored import Index, Stored, has_checkpoint
 from pgccd.sim.model import ModelConfig, RobotState
 
 KIND = "simulation"
@@ -63,12 +63,16 @@ class StoredCheckpoint(Stored):
     """The newest checkpoint in a run's folder. The hash of its index has been checked, those of its other files have
     not: see `verify`.
 
+    Args:
+        run_folder: of the run.
+        index: as for `Stored`.
+
     Raises:
         CheckpointError: it cannot be read.
     """
 
-    def __init__(self, run_folder: Path) -> None:
-        super().__init__(run_folder, KIND)
+    def __init__(self, run_folder: Path, index: Index | None = None) -> None:
+        super().__init__(run_folder, KIND, index)
         path, content = self.folder / files.INDEX, self.header
         try:
             config = content["config"] | {"stay_steps": tuple(content["config"]["stay_steps"])}
@@ -84,14 +88,14 @@ class StoredCheckpoint(Stored):
             raise CheckpointError(f"{path}: of {self.run.config.robots} robots it has {self.row_count(ROBOTS)}")
 
 
-def find_checkpoint(run_folder: Path) -> StoredCheckpoint | None:
-    """The newest checkpoint in a run's folder; None if there is none.
+def find_checkpoint(run_folder: Path, index: Index | None = None) -> StoredCheckpoint | None:
+    """The newest checkpoint in a run's folder, `index` as for `Stored`; None if there is none.
 
     Raises:
         CheckpointError: there is one that cannot be read.
     """
-    if has_checkpoint(run_folder):
-        return StoredCheckpoint(run_folder)
+    if index is not None or has_checkpoint(run_folder):
+        return StoredCheckpoint(run_folder, index)
     if (run_folder / _FORMER).exists():
         raise CheckpointError(
             f"{run_folder / _FORMER} was written by an earlier version of pgccd (format 1), which must continue the run"
@@ -99,21 +103,22 @@ def find_checkpoint(run_folder: Path) -> StoredCheckpoint | None:
     return None
 
 
-def require_checkpoint(run_folder: Path) -> StoredCheckpoint:
-    """The newest checkpoint.
+def require_checkpoint(run_folder: Path, index: Index | None = None) -> StoredCheckpoint:
+    """The newest checkpoint, `index` as for `Stored`.
 
     Raises:
         FileNotFoundError: there is none.
         CheckpointError: it cannot be read.
     """
-    found = find_checkpoint(run_folder)
+    found = find_checkpoint(run_folder, index)
     if found is None:
         raise FileNotFoundError(f"no checkpoint at {run_folder}")
     return found
 
 
-def save_checkpoint(run_folder: str | Path, checkpoint: Checkpoint) -> Path:
-    """Writes a checkpoint of one process to `run_folder`, and makes it the newest one.
+def save_checkpoint(run_folder: str | Path, checkpoint: Checkpoint, keep: int = files.KEEP) -> Path:
+    """Writes a checkpoint of one process to `run_folder`, and makes it the newest one; of the others the `keep` - 1
+    newest remain.
 
     Returns:
         Its folder.
@@ -130,7 +135,7 @@ def save_checkpoint(run_folder: str | Path, checkpoint: Checkpoint) -> Path:
     content = Content(KIND, checkpoint.steps_made, checkpoint.plain)
     try:
         entry = files.write_tables(root / name, 0, tables)
-        return files.publish(root, name, content, files.layout_of(tables), [entry])
+        return files.publish(root, name, content, files.layout_of(tables), [entry], files.checked_keep(keep))
     except CheckpointError:
         files.discard(root, name)
         raise

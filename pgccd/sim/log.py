@@ -1,48 +1,93 @@
-"""The log of a run: `steps.jsonl`, one line per step."""
+"""The log of a run: `steps.jsonl`, one line per step. It is written and read line by line: of a large job it may be
+larger than the memory.
+"""
 
 from __future__ import annotations
 
+import errno
 import json
 import os
+import stat
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from io import BufferedReader
 from pathlib import Path
 from typing import Any, TextIO
 
-from pgccd.checkpoint.files import replace_text
+from pgccd.checkpoint.files import one_line, replace_text
 from pgccd.checkpoint.lock import FolderError
+from pgccd.checkpoint.regular import open_regular
 
 LOG_FILE = "steps.jsonl"
 # Fields of a line, besides "step", "seconds" and "stage_seconds", that summaries use.
 _COUNTS = ("pcs", "contacts", "stopped", "candidates", "unresolved", "touching_at_t0")
 _HASHES = ("contacts_hash", "state_hash")
+# A file with longer lines is no log: each rank has some 100 bytes of its own.
+_LONGEST_LINE = 1 << 26
+# Bytes read at a time from the end.
+_BLOCK = 1 << 20
+# The object of each rank's values stands at the end of a line.
+_RANKS = b', "ranks": {'
 
 
 class StepLog:
-    """`steps.jsonl`: one line per step. Continuing a run drops the lines of steps after its checkpoint.
+    """`steps.jsonl`: one line per step. Continuing a run drops the lines of steps after its checkpoint; only the end of
+    the file is read.
 
     Args:
         folder: of the run.
-        steps_made: number of steps whose lines are kept; warns if lines are missing.
+        steps_made: number of steps whose lines are kept; warns if the last one is missing.
+        state_hash: of the last of these steps, as in its line; None: it is not compared.
 
     Raises:
-        FolderError: it cannot be written; also from `append` and `sync`.
+        FolderError: it cannot be read or written, also from `append` and `sync`; or it is of another run.
     """
 
-    def __init__(self, folder: Path, steps_made: int) -> None:
+    def __init__(self, folder: Path, steps_made: int, state_hash: str | None = None) -> None:
         self.path = folder / LOG_FILE
-        #: Records of all steps of the run so far.
-        self.records = [record for record in read_log(folder) if record["step"] < steps_made] if steps_made else []
-        if len(self.records) < steps_made:
-            missing = steps_made - len(self.records)
-            warnings.warn(f"{self.path} lacks {missing} of {steps_made} steps made before the checkpoint", stacklevel=2)
+        if steps_made == 0 or not os.path.lexists(self.path):
+            if steps_made:
+                warnings.warn(f"{self.path} lacks the {steps_made} steps before the checkpoint", stacklevel=2)
+            with self._errors():
+                replace_text(self.path, "")
         with self._errors():
-            replace_text(self.path, "".join(json.dumps(record) + "\n" for record in self.records))
-            self._file: TextIO = open(self.path, "a")  # noqa: SIM115  (closed by __exit__)
+            descriptor = os.open(self.path, os.O_RDWR | os.O_APPEND | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+            self._file: TextIO = os.fdopen(descriptor, "a")
+            if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+                self._file.close()
+                raise FolderError(f"folder: {self.path} is no regular file")
+        if steps_made:
+            try:
+                self._drop_after(steps_made - 1, state_hash)
+            except BaseException:
+                self._file.close()
+                raise
+
+    def _drop_after(self, step: int, state_hash: str | None) -> None:
+        """Removes the lines of later steps."""
+        kept = 0
+        with self._errors(), open_regular(self.path) as file:
+            for line, end in _lines_from_end(file):
+                record = _record(line)
+                if record is None or record["step"] > step:
+                    continue
+                if record["step"] == step and state_hash not in (None, record["state_hash"]):
+                    raise FolderError(
+                        f"folder: {self.path} is not of this checkpoint: the state hash of its step {step} is "
+                        f"{record['state_hash']}, that of the checkpoint {state_hash}; to continue without it, move it"
+                    )
+                kept = end
+                if record["step"] < step:
+                    lacking = f"{step - record['step']} of {step + 1}"
+                    warnings.warn(f"{self.path} lacks {lacking} steps made before the checkpoint", stacklevel=3)
+                break
+            else:
+                warnings.warn(f"{self.path} lacks the {step + 1} steps before the checkpoint", stacklevel=3)
+        with self._errors():
+            os.ftruncate(self._file.fileno(), kept)
 
     def append(self, record: dict[str, Any]) -> None:
-        self.records.append(record)
         with self._errors():
             self._file.write(json.dumps(record) + "\n")
             self._file.flush()
@@ -73,16 +118,67 @@ def read_log(folder: Path) -> list[dict[str, Any]]:
     """The records of `steps.jsonl` in `folder` by step, the first of each; without lines that are damaged or
     incomplete. Empty without the file.
     """
-    path = folder / LOG_FILE
-    records: dict[int, dict[str, Any]] = {}
-    for line in path.read_bytes().split(b"\n") if path.is_file() else []:
-        try:
-            record = json.loads(line)
-        except (ValueError, RecursionError):  # the process died while writing it, for example
-            continue
-        if _is_record(record):
-            records.setdefault(record["step"], record)
-    return [records[step] for step in sorted(records)]
+    return list(iterate_log(folder))
+
+
+def iterate_log(folder: Path, with_ranks: bool = True) -> Iterator[dict[str, Any]]:
+    """The same, one at a time.
+
+    Args:
+        folder: of the run.
+        with_ranks: whether records have the object `ranks`, whose size grows with the number of ranks.
+
+    Raises:
+        ValueError: the file cannot be read.
+    """
+    path, last = folder / LOG_FILE, -1
+    try:
+        with open_regular(path) as file:
+            while line := file.readline(_LONGEST_LINE):
+                if len(line) == _LONGEST_LINE:
+                    raise _too_long()
+                if not with_ranks and (cut := line.find(_RANKS)) >= 0:
+                    line = line[:cut] + b"}"
+                record = _record(line)
+                if record is not None and record["step"] > last:
+                    last = record["step"]
+                    yield record
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise ValueError(one_line(f"{path} cannot be read: {error.strerror or error}")) from error
+
+
+def _lines_from_end(file: BufferedReader) -> Iterator[tuple[bytes, int]]:
+    """The lines from the last one on, and the place after each. What follows the last newline is none."""
+    end = begin = file.seek(0, os.SEEK_END)
+    tail = b""  # what has been read of the line that ends at `end`
+    is_whole = False  # whether that ends with a newline
+    while begin > 0:
+        before, begin = begin, max(0, begin - _BLOCK)
+        file.seek(begin)
+        tail = file.read(before - begin) + tail
+        while (newline := tail.rfind(b"\n", 0, len(tail) - is_whole)) >= 0:
+            if is_whole:
+                yield tail[newline + 1 :], end
+            end, tail, is_whole = begin + newline + 1, tail[: newline + 1], True
+        if len(tail) > _LONGEST_LINE:
+            raise _too_long()
+    if is_whole:
+        yield tail, end
+
+
+def _too_long() -> OSError:
+    return OSError(errno.EFBIG, f"a line has more than {_LONGEST_LINE} bytes")
+
+
+def _record(line: bytes) -> dict[str, Any] | None:
+    """The record of a line; None if it is damaged."""
+    try:
+        record = json.loads(line)
+    except (ValueError, RecursionError):  # the process died while writing it, for example
+        return None
+    return record if _is_record(record) else None
 
 
 def _is_record(record: Any) -> bool:

@@ -4,11 +4,13 @@ import json
 from pathlib import Path
 from typing import Any
 
-from pgccd.checkpoint.files import replace_text
+from pgccd.checkpoint.files import one_line, replace_text
 from pgccd.checkpoint.lock import FolderError
+from pgccd.checkpoint.regular import read_regular
 from pgccd.sim.checkpoint import find_checkpoint, forget_checkpoints
 
 WORLD_FILE = "world.json"
+_MOST_BYTES = 1 << 24
 
 
 def begin(folder: Path, world: dict[str, Any], overwrite: bool) -> None:
@@ -47,9 +49,11 @@ def mesh_files(folder: Path) -> list[str] | None:
     """
     path = folder / WORLD_FILE
     try:
-        files = json.loads(path.read_text()).get("mesh_files") if path.is_file() else None
-    except (AttributeError, ValueError, RecursionError) as error:
-        raise ValueError(f"{path} cannot be read: {error}") from error
+        files = json.loads(read_regular(path, _MOST_BYTES)).get("mesh_files")
+    except FileNotFoundError:
+        return None
+    except (OSError, AttributeError, ValueError, RecursionError) as error:
+        raise ValueError(one_line(f"{path} cannot be read: {getattr(error, 'strerror', None) or error}")) from error
     if files is not None and not (isinstance(files, list) and all(isinstance(name, str) for name in files)):
-        raise ValueError(f"{path}: mesh_files: expected a list of file names, got {files!r}")
+        raise ValueError(one_line(f"{path}: mesh_files: expected a list of file names, got {files!r}"))
     return files or None

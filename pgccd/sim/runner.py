@@ -13,12 +13,14 @@ from typing import Any, Generic, Protocol, TypeVar
 
 import torch
 
+from pgccd.checkpoint.files import KEEP, checked_keep
 from pgccd.checkpoint.lock import hold
 from pgccd.detection.broad import BroadPhase
 from pgccd.geometry.digest import meshes_digest
 from pgccd.geometry.mesh import Mesh
 from pgccd.sim.checkpoint import Checkpoint, Header, load_checkpoint, require_checkpoint, save_checkpoint
-from pgccd.sim.log import StepLog
+from pgccd.sim.hashing import state_hash
+from pgccd.sim.log import StepLog, iterate_log
 from pgccd.sim.model import Model, ModelConfig, RobotState
 from pgccd.sim.progress import Progress
 from pgccd.sim.replay import StepMaker
@@ -34,7 +36,7 @@ class Run:
         model: the world.
         state: the robots after the last step.
         steps_made: number of steps, those before a resumption included.
-        records: the lines of steps.jsonl, from step 0.
+        folder: of the run; None on ranks other than 0.
         last_steps: the last steps, as many as were to be kept and were made in this process, oldest first.
         interrupted: whether a signal ended the run; a checkpoint was written.
         one_in: `state` has one in this many robots; above 1 for very large worlds on many ranks.
@@ -43,10 +45,27 @@ class Run:
     model: Model
     state: RobotState
     steps_made: int
-    records: list[dict[str, Any]]
+    folder: Path | None
     last_steps: list[Step]
     interrupted: bool
     one_in: int = 1
+
+    @property
+    def records(self) -> list[dict[str, Any]]:
+        """The lines of steps.jsonl, from step 0, read from the file now."""
+        return list(self.iterate(with_ranks=True))
+
+    def iterate(self, with_ranks: bool = False) -> Iterator[dict[str, Any]]:
+        """These records, one at a time.
+
+        Args:
+            with_ranks: whether records have the object `ranks`, whose size grows with the number of ranks.
+        """
+        if self.folder is not None:
+            for record in iterate_log(self.folder, with_ranks):
+                if record["step"] >= self.steps_made:
+                    return
+                yield record
 
 
 def run(
@@ -62,6 +81,7 @@ def run(
     keep_steps: int = 1,
     graph: bool | None = None,
     overwrite: bool = False,
+    keep: int = KEEP,
     notes: Mapping[str, Any] | None = None,
 ) -> Run:
     """Simulates a world from its start and writes `world.json`, `steps.jsonl` and `checkpoints/` into a folder.
@@ -81,6 +101,7 @@ def run(
         keep_steps: number of last steps that are kept with their details, for pictures. On a GPU they are not replayed.
         graph: whether steps are replays of one CUDA graph. Default: on a GPU. The result does not depend on it.
         overwrite: whether to replace an earlier run in the folder.
+        keep: number of checkpoints to keep: the newest ones.
         notes: additional plain values for `world.json`.
 
     Raises:
@@ -96,7 +117,9 @@ def run(
     model = Model(config, meshes, device)
     with hold(folder):
         begin(folder, model.describe() | dict(notes or {}), overwrite)
-        machine = _OneProcess(model, model.start(), folder, broad_phase, graph, LastSteps(steps, keep_steps, Step))
+        machine = _OneProcess(
+            model, model.start(), folder, broad_phase, graph, LastSteps(steps, keep_steps, Step), checked_keep(keep)
+        )
         return _finish(machine, 0, steps, folder, checkpoint_every, progress)
 
 
@@ -111,6 +134,7 @@ def resume(
     progress: Progress | None = None,
     keep_steps: int = 1,
     graph: bool | None = None,
+    keep: int = KEEP,
 ) -> Run:
     """Continues a run from its checkpoint, with the same result as without interruption.
 
@@ -118,7 +142,7 @@ def resume(
         folder: of the run.
         steps: total number of steps; default: that of the run.
         meshes: of the run; default `robot_mesh()`.
-        device, broad_phase, checkpoint_every, progress, keep_steps, graph: as for `run`.
+        device, broad_phase, checkpoint_every, progress, keep_steps, graph, keep: as for `run`.
 
     Raises:
         FileNotFoundError: there is no checkpoint.
@@ -133,9 +157,9 @@ def resume(
     with hold(folder):
         checkpoint = load_checkpoint(folder)
         model, steps = continued(folder, checkpoint, steps, meshes, device)
-        machine = _OneProcess(
-            model, checkpoint.state.to(model.device), folder, broad_phase, graph, LastSteps(steps, keep_steps, Step)
-        )
+        state = checkpoint.state.to(model.device)
+        last_steps = LastSteps(steps, keep_steps, Step)
+        machine = _OneProcess(model, state, folder, broad_phase, graph, last_steps, checked_keep(keep))
         return _finish(machine, checkpoint.steps_made, steps, folder, checkpoint_every, progress)
 
 
@@ -228,8 +252,9 @@ class _OneProcess:
         broad_phase: BroadPhase,
         graph: bool | None,
         last_steps: LastSteps[Step],
+        keep: int,
     ) -> None:
-        self.model, self.state, self._folder = model, state, folder
+        self.model, self.state, self._folder, self._keep = model, state, folder, keep
         self._digest = meshes_digest(model.meshes.meshes)
         self._steps = StepMaker(model, state, broad_phase, graph)
         self._stopping = False
@@ -249,7 +274,7 @@ class _OneProcess:
     def save(self, steps_made: int, steps_wanted: int) -> None:
         self.state = self._steps.state
         checkpoint = Checkpoint(self.model.config, steps_made, steps_wanted, self._digest, self.state)
-        save_checkpoint(self._folder, checkpoint)
+        save_checkpoint(self._folder, checkpoint, self._keep)
 
     def finish(self) -> None:
         pass
@@ -258,9 +283,9 @@ class _OneProcess:
 def _finish(
     machine: _OneProcess, made: int, steps: int, folder: Path, checkpoint_every: int, progress: Progress | None
 ) -> Run:
-    log = StepLog(folder, made)
+    log = StepLog(folder, made, f"{state_hash(machine.state):016x}")
     made = drive(machine, log, made, steps, checkpoint_every, progress)
-    return Run(machine.model, machine.state, made, log.records, machine.last_steps.steps, interrupted=made < steps)
+    return Run(machine.model, machine.state, made, folder, machine.last_steps.steps, interrupted=made < steps)
 
 
 def drive(

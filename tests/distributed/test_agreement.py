@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+import functools
+import hashlib
+import re
+import shutil
 import sys
 import time
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import pytest
+import torch
 import torch.distributed as dist
-from support.launch import finish, mpirun, torchrun
+from support.launch import ROOT, finish, mpirun, torchrun
+from support.ranks import RankPool
 
-from pgccd.distributed.launch import agreement
+import pgccd
+from pgccd.distributed import CapturedWorld, Comm, World
+from pgccd.distributed.launch import agreement, code
 from pgccd.distributed.launch.agreement import PROBLEM, DisagreementError, agree_by_store
 from pgccd.distributed.launch.placement import Placement
 
@@ -59,6 +69,140 @@ def test_the_problem_of_one_rank_ends_all() -> None:
 def test_ranks_that_do_not_come_are_named() -> None:
     with pytest.raises(RuntimeError, match=r"^ranks \[1, 2\] of 3 did not connect within 0.2 s$"):
         agree_by_store(dist.HashStore(), Placement("torchrun", 0, 3, 0), SETTINGS, 0.2)
+
+
+def test_code_is_compared(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    facts = code.code_facts()
+    assert {"pgccd", "torch", "numpy", "pgccd's .py files", "C++ sources of pgccd's build"} <= set(facts)
+    assert facts["C++ sources of pgccd's build"] == digest_sources()
+    package = Path(code.pgccd.__file__).parent
+    shutil.copytree(package, tmp_path / "pgccd", ignore=shutil.ignore_patterns("*.so", "__pycache__"))
+    same = code.digest_of_files(tmp_path / "pgccd")
+    assert same == facts["pgccd's .py files"]
+    (tmp_path / "pgccd" / "notes.txt").write_text("not code")
+    assert code.digest_of_files(tmp_path / "pgccd") == same
+    changed = tmp_path / "pgccd" / "sim" / "response.py"
+    changed.write_text(changed.read_text() + " ")
+    other = code.digest_of_files(tmp_path / "pgccd")
+    assert other != same
+    facts_of_other = facts | {"pgccd's .py files": other}
+    assert compare([facts, facts_of_other]) == [f"pgccd's .py files: rank 0 has {same}, rank 1 has {other}"] * 2
+    changed.rename(changed.with_name("answer.py"))
+    assert code.digest_of_files(tmp_path / "pgccd") not in (same, other)
+
+
+def digest_sources() -> str:
+    """As build_support.extensions, which needs a compiler."""
+    digest = hashlib.sha256()
+    for path in sorted((ROOT / "csrc").rglob("*")):
+        if path.suffix in (".h", ".cpp", ".cu", ".cuh"):
+            name = path.relative_to(ROOT).as_posix()
+            digest.update(f"{name}\0{path.stat().st_size}\0".encode() + path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def scale(bodies: float, by: float) -> float:
+    return bodies * by
+
+
+class Response:
+    def __init__(self, by: float) -> None:
+        self.by = by
+
+    def __call__(self, bodies: float) -> float:
+        return bodies * self.by
+
+    def method(self, bodies: float) -> float:
+        return bodies + self.by
+
+
+def closed_over(function: Callable[..., float]) -> Callable[[float], float]:
+    return lambda bodies: function(bodies, 2.0)
+
+
+def test_functions_are_compared_by_their_code() -> None:
+    different: list[Callable[..., Any]] = [
+        lambda bodies: bodies * 0.9,
+        lambda bodies: bodies * 0.8,
+        lambda bodies: bodies + 0.9,
+        lambda other: other,
+        lambda bodies: bodies in {"a", "b"},
+        lambda bodies: bodies in {"a", "c"},
+        lambda bodies: (lambda: bodies * 3)(),
+        lambda bodies: (lambda: bodies * 4)(),
+        scale,
+        functools.partial(scale, by=2.0),
+        functools.partial(closed_over, scale),
+        functools.partial(closed_over, max),
+        closed_over(scale),
+        closed_over(max),
+        Response(1.0),
+        Response(1.0).method,
+        Response,
+        torch.nn.Linear(1, 1),
+        max,
+        torch.abs,
+    ]
+    assert len({code.code_of(function).partition(" ")[2] for function in different}) == len(different)
+    # Equal wherever it stands, and whatever values it holds, which may differ between ranks.
+    same = lambda bodies: bodies * 0.9  # noqa: E731
+    assert code.code_of(same).partition(" ")[2] == code.code_of(different[0]).partition(" ")[2]
+    assert code.code_of(functools.partial(scale, by=3.0)) == code.code_of(functools.partial(scale, by=2.0))
+    assert code.code_of(Response(2.0)) == code.code_of(Response(1.0))
+    # In another process, where sets of strings have another order.
+    program = "import sys; sys.path.insert(0, 'tests'); from pgccd.distributed.launch import code; "
+    program += "f = lambda bodies: bodies in {'a', 'b', 'c', 'd', 'e'}; print(code.code_of(f))"
+    seeds = [finish([sys.executable, "-c", program], PYTHONHASHSEED=seed).stdout for seed in ("1", "2", "3")]
+    assert len(set(seeds)) == 1 and "<lambda> (" in seeds[0], seeds
+
+
+def run_different_code(comm: Comm, odd: str) -> str:
+    mesh = pgccd.Mesh.box([1.0, 1.0, 1.0])
+    dtype = torch.float32 if odd == "dtype" and comm.rank == 1 else torch.float64
+    position = torch.tensor([[3.0 * comm.rank, 0.0, 0.0]], dtype=dtype)
+    id = torch.tensor([comm.rank])
+    try:
+        world = World.create([mesh], (-1.0, -1.0, -1.0), (9.0, 1.0, 1.0), position, id=id, comm=comm)
+        upright = torch.tensor([[1.0, 0.0, 0.0, 0.0]], dtype=torch.float64)
+
+        def motion(bodies: Any) -> pgccd.RigidMotion:
+            q = upright.expand(len(bodies.id), 4)
+            return pgccd.RigidMotion(bodies.position, q, bodies.position + 0.1, q)
+
+        functions = [lambda bodies, moving, toi: {"position": moving.at(1.0)[0]}]
+        functions.append(lambda bodies, moving, toi: {"position": moving.at(0.5)[0]})
+        response = functions[comm.rank if odd == "lambda" else 0]
+        if odd == "partial":
+            response = functools.partial(functions[comm.rank])
+        CapturedWorld(world, motion, response).run(2)
+    except DisagreementError as error:
+        return str(error)
+    return ""
+
+
+@pytest.mark.parametrize(
+    ("odd", "said"),
+    [
+        ("nothing", ""),
+        ("dtype", "position: rank 0 has .*float64.*, rank 1 has .*float32"),
+        ("lambda", "response: rank 0"),
+    ]
+    + [("partial", "response: rank 0 has 'partial .*, rank 1 has 'partial")],
+)
+def test_what_ranks_pass_to_a_world_is_compared(odd: str, said: str, ranks: RankPool) -> None:
+    for found in ranks.run(2, run_different_code, odd):
+        assert re.match(said, found) and bool(found) == bool(said), found
+
+
+def test_another_version_of_a_file_on_one_rank(tmp_path: Path) -> None:
+    """Of one machine in a cluster whose installation is older."""
+    shutil.copytree(ROOT / "pgccd", tmp_path / "pgccd", ignore=shutil.ignore_patterns("__pycache__"))
+    with open(tmp_path / "pgccd" / "sim" / "response.py", "a") as file:
+        file.write("# newer\n")
+    shell = f'[ "$RANK" = 1 ] && export PYTHONPATH={tmp_path}; cd {tmp_path.parent}; exec "$PYTHON" -m pgccd simulate'
+    done = finish(torchrun(2, "--no-python", "bash", "-c", f"{shell} --robots 9 --steps 1"), PYTHON=sys.executable)
+    said = r"pgccd simulate: error: pgccd's .py files: rank 0 has \w{16}, rank 1 has \w{16}"
+    assert done.returncode != 0 and re.search(said, done.stdout), done.stdout
 
 
 # Options of rank 1, and the error that all ranks print.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from typing import Any
 
 import pytest
 import torch
@@ -20,6 +21,7 @@ from pgccd.distributed.partition.balance import (
     rebalance,
     relative_speeds,
 )
+from pgccd.distributed.partition.rebalancing import Balancer
 
 
 @st.composite
@@ -163,3 +165,17 @@ def test_decisions_that_move_nothing_become_rare() -> None:
     assert back_off.is_over(step + 1)
     back_off.tried(step + 1, moved=0)
     assert not back_off.is_over(step + 2) and back_off.is_over(step + 3)
+
+
+@pytest.mark.parametrize("policy", ["cost", "measured", "one-cell"])
+def test_a_decision_is_made_once_it_costs_less_than_imbalance(policy: Any) -> None:
+    """A small world would spend more on sums over its ranks than it can gain."""
+    loads = RankLoads([10, 20, 30, 40], [1, 2, 3, 4], [1, 2, 3, 4], [1.0, 2.0, 3.0, 4.0])
+    assert loads.lost == 40 + 8 * 4 - (100 + 8 * 10) / 4
+    balancer = Balancer(BalanceOptions(policy, start=0.0, goal=0.0, deciding=10 * loads.lost))
+    found = [balancer.is_worthwhile(loads) for _ in range(12)]
+    assert policy == "measured" or found == ([True] * 12 if policy == "one-cell" else [False] * 9 + [True] * 3)
+    level = RankLoads([10] * 4, [1] * 4, [1] * 4, [1.0] * 4)
+    assert not balancer.is_worthwhile(level)
+    large = Balancer(BalanceOptions(policy))
+    assert large.is_worthwhile(RankLoads([10**6, 10**6, 10**6, 11 * 10**5], *[[1, 1, 1, 9]] * 2, [1.0, 1.0, 1.0, 9.0]))

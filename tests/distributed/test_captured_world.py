@@ -81,7 +81,7 @@ def spread(comm: Comm, device: torch.device, policy: str, partition: str) -> Wor
     mine = torch.arange(comm.rank, COUNT, comm.size)
     columns = {name: column[mine].to(device) for name, column in start().items()}
     payload = {name: columns.pop(name) for name in ("q", "v", "w", "free")}
-    balance = BalanceOptions(policy, start=0.0, goal=0.0, moving=0.0, every=3)
+    balance = BalanceOptions(policy, start=0.0, goal=0.0, moving=0.0, deciding=0.0, every=3)
     options: dict[str, Any] = {"id": 3 * mine.to(device) + 1, "payload": payload, "partition": partition}
     options |= {"comm": comm, "cells": 4, "balance": balance, "nonzero_toi": True, "min_separation": 1e-3}
     return World.create(meshes().meshes, (0.0,) * 3, (BOX,) * 3, columns.pop("position"), **columns, **options)

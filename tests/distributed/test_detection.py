@@ -130,7 +130,7 @@ def tumble(comm: Comm, policy: str) -> list[str]:
         comm=comm,
         nonzero_toi=True,
         cells=4,
-        balance=BalanceOptions(policy, every=2, start=0.0, goal=0.0, moving=0.0),
+        balance=BalanceOptions(policy, every=2, start=0.0, goal=0.0, moving=0.0, deciding=0.0),
     )
     seen, owners = [], set()
     for _ in range(8):

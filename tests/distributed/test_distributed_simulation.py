@@ -65,7 +65,9 @@ def make_simulation(
     upper = model.half_extent
     partition = make_partition(kind, tuple(-x for x in upper), upper, comm.size, axes, 4, device)
     start = starting_share(comm, model)
-    return DistributedSimulation.create(comm, model, partition, start, BalanceOptions(policy), overlap, graph=graph)
+    return DistributedSimulation.create(
+        comm, model, partition, start, BalanceOptions(policy, deciding=0.0), overlap, graph=graph
+    )
 
 
 class Cramped(RoundPlan):

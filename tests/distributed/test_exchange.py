@@ -131,7 +131,17 @@ def reduce_values(comm: Comm) -> None:
     assert comm.any(comm.rank == comm.size - 1) and not comm.any(False)
     of_ranks = [{"rank": rank} for rank in range(comm.size)]
     assert comm.gather_objects({"rank": comm.rank}) == (of_ranks if comm.rank == 0 else [])
-    assert comm.broadcast_object(("of", comm.rank)) == ("of", 0)
+    assert comm.broadcast_object(["of", 2**64 - 1, float("inf"), "\u00e9", None, comm.rank])[:5] == [
+        *["of", 2**64 - 1, float("inf"), "\u00e9", None]
+    ]
+    # Values of different lengths, and pages of them.
+    words = ["x" * 40_000 * rank for rank in range(comm.size)]
+    assert comm.gather_objects(words[comm.rank]) == (words if comm.rank == 0 else [])
+    for values in (torch.arange(5, dtype=torch.uint8), torch.rand((3, 2), dtype=torch.float64), torch.ones(0, 7) > 0):
+        given = values.clone() if comm.rank == 0 else None
+        sent = comm.broadcast(given)
+        assert sent.dtype == values.dtype and sent.shape == values.shape
+        assert given is None or torch.equal(sent, given)
     assert comm.exchange_counts(10 * comm.rank + torch.arange(comm.size)).tolist() == [
         10 * rank + comm.rank for rank in range(comm.size)
     ]

@@ -56,6 +56,12 @@ def start(launcher: str, folder: Path, *more: str) -> subprocess.Popen[str]:
     return process
 
 
+def descendants(process: int) -> list[int]:
+    """Ids of all processes below a process."""
+    found = children(process)
+    return found + [one for child in found for one in descendants(child)]
+
+
 def ranks_of(process: subprocess.Popen[str]) -> list[int]:
     """The processes of the ranks, in the order in which they were started."""
     found, below = [], [process.pid]
@@ -147,6 +153,30 @@ def test_a_stopped_rank_is_named(launcher: str, which: int, tmp_path: Path, expe
     finally:
         os.kill(stopped, signal.SIGKILL)
         process.communicate(timeout=120)
+    require_intact(tmp_path, expected)
+
+
+@pytest.mark.parametrize(("launcher", "transport"), [("torchrun", "gloo"), ("mpirun", "gloo"), ("mpirun", "mpi4py")])
+@pytest.mark.parametrize("who", ["all", "ranks", "one"])
+def test_a_suspended_job_goes_on(launcher: str, transport: str, who: str, tmp_path: Path, expected: list[Any]) -> None:
+    """For longer than the time-out, as by `scontrol suspend`; one rank alone, for less than it."""
+    process = start(launcher, tmp_path, "--timeout", "6", "--transport", transport)
+    stopped = [process.pid, *descendants(process.pid)] if who == "all" else ranks_of(process)
+    stopped = stopped[-1:] if who == "one" else stopped
+    for one in stopped:
+        os.kill(one, signal.SIGSTOP)
+    time.sleep(4.0 if who == "one" else 14.0)
+    for one in stopped:
+        os.kill(one, signal.SIGCONT)
+        time.sleep(0.1)
+    made = len(sim.read_log(tmp_path))
+    deadline = time.monotonic() + 60.0
+    while len(sim.read_log(tmp_path)) < made + 20:
+        assert process.poll() is None and time.monotonic() < deadline, process.communicate(timeout=60)[0]
+        time.sleep(0.1)
+    terminate(process)
+    output, _ = process.communicate(timeout=120)
+    assert "pgccd: rank" not in output, output
     require_intact(tmp_path, expected)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import secrets
@@ -13,17 +14,17 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from pgccd.distributed import RankFailureError
-from pgccd.distributed.guard import Guard, Hub, channel, guard, hub
+from pgccd.distributed.guard import Guard, Hub, channel, guard, hub, turns
 from pgccd.distributed.guard.channel import join
 
 TOKEN = b"of this job"
 
 
 class Ranks:
-    """Three ranks in one process."""
+    """Three ranks in one process, of a job of `size`."""
 
-    def __init__(self) -> None:
-        self.hub = Hub("127.0.0.1", TOKEN, 3)
+    def __init__(self, size: int = 3) -> None:
+        self.hub = Hub("127.0.0.1", TOKEN, size)
         self.guards = [
             Guard(self.channel(rank), rank, timeout=1.0, hub=self.hub if rank == 0 else None) for rank in range(3)
         ]
@@ -41,9 +42,20 @@ class Ranks:
 
 @pytest.fixture
 def ranks(monkeypatch: pytest.MonkeyPatch) -> Iterator[Ranks]:
+    yield from ranks_of(3, monkeypatch)
+
+
+@pytest.fixture
+def incomplete(monkeypatch: pytest.MonkeyPatch) -> Iterator[Ranks]:
+    """Three ranks of four: the hub waits for the last one."""
+    yield from ranks_of(4, monkeypatch)
+
+
+def ranks_of(size: int, monkeypatch: pytest.MonkeyPatch) -> Iterator[Ranks]:
     monkeypatch.setattr(guard, "_GRACE_SECONDS", 0.5)
-    monkeypatch.setattr(hub, "_ANSWER_SECONDS", 1.5)
-    three = Ranks()
+    monkeypatch.setattr(hub, "_ANSWER_SECONDS", 1.0)
+    monkeypatch.setattr(hub, "_SECOND_LOOK_SECONDS", 0.2)
+    three = Ranks(size)
     yield three
     for one in three.guards[::-1]:
         one.close()
@@ -191,11 +203,67 @@ def test_a_guard_without_a_hub_ends_the_process_hard_too(exits: list[int], monke
     assert exits == [70]
 
 
+def test_a_verdict_is_withdrawn_when_exchanges_go_on(
+    ranks: Ranks, exits: list[int], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(guard, "_GRACE_SECONDS", 3.0)
+    for turn in range(2):
+        with ranks.guards[0].waiting("halo"), ranks.guards[1].waiting("halo"):
+            wait_for(lambda: all(one._verdict for one in ranks.guards))
+            assert str(ranks.guards[1]._verdict).startswith("rank 2 (process 2) hangs in the start")
+        with ranks.guards[2].waiting("halo"):
+            pass
+        wait_for(lambda: not any(one._verdict for one in ranks.guards))
+        assert ranks.hub._verdict is None and exits == [], turn
+    assert "goes on, and so does the job\n" in capsys.readouterr().err
+    # What has ended cannot go on.
+    ranks.kill(2)
+    wait_for(lambda: ranks.guards[0]._verdict)
+    ranks.guards[1]._channel.send(about="goes on")
+    wait_for(lambda: exits)
+    assert str(ranks.hub._verdict) == "rank 2 (process 2) has died"
+
+
+def test_only_a_second_look_without_progress_blames(ranks: Ranks, exits: list[int]) -> None:
+    """A rank is behind at each look, but moves on."""
+    stop = threading.Event()
+
+    def is_slow() -> None:
+        while not stop.wait(0.05):
+            with ranks.guards[2].waiting("halo"):
+                pass
+
+    for one in ranks.guards[:2] * 500:
+        with one.waiting("halo"):
+            pass
+    thread = threading.Thread(target=is_slow, daemon=True)
+    thread.start()
+    with ranks.guards[0].waiting("halo"), ranks.guards[1].waiting("halo"):
+        try:
+            wait_for(lambda: ranks.hub._queries > 3)
+            assert exits == [] and ranks.hub._verdict is None
+        finally:
+            stop.set()
+            thread.join()
+        wait_for(lambda: ranks.hub._verdict)
+    assert "rank 2 (process 2) hangs" in str(ranks.hub._verdict)
+
+
+def test_a_clock_of_turns_does_not_see_that_it_was_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = 100.0
+    monkeypatch.setattr(turns.time, "monotonic", lambda: now)
+    clock = turns.TurnClock()
+    for step in (0.2, 0.3, 1e6, 0.2, -1e6, 0.2):
+        now += step
+        clock.turn()
+    assert 1.8 < clock.now < 2.0
+
+
 def test_a_rank_that_is_behind_hangs(ranks: Ranks, exits: list[int]) -> None:
     ranks.guards[2].activity = "its user's loop"
     with ranks.guards[1].waiting("halo"):
         pass
-    assert fail(ranks.guards[0], after=0.95).startswith("rank 2 (process 2) hangs in its user's loop (rank 0 was in")
+    assert fail(ranks.guards[0], after=1.3).startswith("rank 2 (process 2) hangs in its user's loop (rank 0 was in")
 
 
 def test_a_rank_that_waits_too_long_asks_by_itself(ranks: Ranks, exits: list[int]) -> None:
@@ -207,7 +275,7 @@ def test_a_rank_that_waits_too_long_asks_by_itself(ranks: Ranks, exits: list[int
 def test_a_rank_that_does_not_answer_is_blamed_last(ranks: Ranks, exits: list[int]) -> None:
     ranks.guards[2]._read_hub = lambda: time.sleep(0.1)  # type: ignore[method-assign]
     time.sleep(0.5)
-    message = fail(ranks.guards[0], after=0.95)
+    message = fail(ranks.guards[0], after=1.3)
     assert "rank 1 (process 1) hangs in the start" in message
     assert "rank 2 (process 2) does not answer: stopped, or busy" in message
 
@@ -258,33 +326,135 @@ def test_one_rank_alone_is_not_blamed() -> None:
     alone.close()
 
 
-def test_strangers_are_not_believed(ranks: Ranks, exits: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
-    address = ("127.0.0.1", ranks.hub.port)
-    with pytest.raises(RuntimeError, match="^guard: no connection to rank 0 at 127.0.0.1:"):
-        ranks.channel(1, token=b"a guess")
+def lines_of_strangers() -> list[bytes]:
     lies = json.dumps({"about": "failure", "text": "a lie"}).encode() + b"\n"
     who = {"rank": 1, "name": "process 1"}
     unproven = json.dumps({"who": who, "nonce": "0", "proof": secrets.token_hex(32)}).encode() + b"\n"
-    nonsense = [lies, unproven + lies, b"\xff" * 200_000, b"[" * 60_000 + b"\n", b"null\n", b'{"who": 3}\n', b"\n", b""]
-    for bytes_ in nonsense:
+    deep = [
+        json.dumps({"nonce": "0", "proof": "0"})[:-1].encode() + b', "who": {"rank": 3, "a": ' + depth + b"}}\n"
+        for depth in (b"[" * count + b"]" * count for count in (100, 300, 900, 990, 1100, 20_000))
+    ]
+    values = ["\u00e9", "\ud800", 1e999, None, [], {}, -1, True, "x" * 60_000]
+    odd = [json.dumps({"who": who, "nonce": value, "proof": value}).encode() + b"\n" for value in values]
+    odd += [json.dumps({"who": {"rank": value}, "nonce": "0", "proof": "0"}).encode() + b"\n" for value in values]
+    nonsense = [b"\xff" * 200_000, b"[" * 60_000 + b"\n", b"null\n", b'{"who": 3}\n', b"\n", b"", b"9" * 5000 + b"\n"]
+    return [lies, unproven + lies, *nonsense, *deep, *odd]
+
+
+def test_strangers_are_not_believed(incomplete: Ranks, exits: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
+    ranks = incomplete
+    address = ("127.0.0.1", ranks.hub.port)
+    with pytest.raises(RuntimeError, match="^guard: no connection to rank 0 at 127.0.0.1:.*does not accept this rank"):
+        ranks.channel(3, token=b"a guess")
+    for bytes_ in lines_of_strangers():
         with socket.create_connection(address) as stranger:
             stranger.settimeout(10.0)
             try:
                 stranger.sendall(bytes_)
-                if bytes_:  # the hub sends its nonce, and nothing else
+                if bytes_:  # the hub sends its nonce and that it refuses, and nothing else
                     assert sum(len(part) for part in iter(lambda: stranger.recv(4096), b"")) < 100  # noqa: B023
             except ConnectionError:
                 pass
-    # A second connection of a connected rank is rejected, even with the token.
-    second = ranks.channel(1)
-    assert second.receive(5.0) is None
+    # A second connection of a connected rank is rejected, even with the token; so is a rank that there is not.
+    for rank in (1, 4, -1):
+        with pytest.raises(RuntimeError, match="does not accept this rank"):
+            ranks.channel(rank)
     monkeypatch.setattr(hub, "_GREETING_SECONDS", 0.1)
     with socket.create_connection(address) as silent:
         silent.settimeout(10.0)
         while silent.recv(4096):
             pass
+    assert ranks.hub._thread.is_alive() and not ranks.hub.is_complete.is_set()
     assert fail(ranks.guards[0]) != "" and ranks.guards[1]._verdict is None or "hangs" in str(ranks.guards[1]._verdict)
     assert "lie" not in str([one._verdict for one in ranks.guards])
+    last = ranks.channel(3)
+    assert ranks.hub.is_complete.wait(5.0)
+    with pytest.raises(OSError, match="refused"):
+        socket.create_connection(address, timeout=5.0)
+    last.close()
+
+
+def test_a_flood_of_connections(incomplete: Ranks, exits: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
+    """A bounded number of them is open at a time, and a rank can still join."""
+    monkeypatch.setattr(hub, "_MOST_GREETINGS", 8)
+    address, most, stop = ("127.0.0.1", incomplete.hub.port), 0, threading.Event()
+
+    def flood() -> None:
+        opened = []
+        while not stop.is_set():
+            with contextlib.suppress(OSError):
+                opened.append(socket.create_connection(address, timeout=1.0))
+            if len(opened) > 200:
+                opened.pop(0).close()
+        for one in opened:
+            one.close()
+
+    threads = [threading.Thread(target=flood) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for _ in range(50):
+        time.sleep(0.02)
+        most = max(most, len(incomplete.hub._greetings))
+    try:
+        channel_of_last = join(address, TOKEN, {"rank": 3, "name": "late"}, 30.0)
+        assert incomplete.hub.is_complete.wait(5.0)
+    finally:
+        stop.set()
+        for thread in threads:
+            thread.join()
+    assert 0 < most <= 8 + 4
+    assert incomplete.hub._greetings == {} and exits == []
+    channel_of_last.close()
+
+
+def test_a_hub_that_may_open_no_more_files(
+    incomplete: Ranks, exits: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    failing = iter([True] * 5)
+    accept = socket.socket.accept
+
+    def without_files(listener: socket.socket) -> object:
+        if next(failing, False):
+            raise OSError(24, "Too many open files")
+        return accept(listener)
+
+    monkeypatch.setattr(socket.socket, "accept", without_files)
+    incomplete.channel(3).close()
+    assert next(failing, None) is None
+
+
+def test_a_hub_that_fails_blames_nobody(
+    ranks: Ranks, exits: list[int], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fails(*_: object) -> None:
+        raise MemoryError("8 GiB")
+
+    monkeypatch.setattr(ranks.hub, "_drop_strangers", fails)
+    ranks.hub._thread.join(5.0)
+    said = "the hub of the guard, on rank 0, has failed (MemoryError: 8 GiB)"
+    assert f"pgccd: {said}" in capsys.readouterr().err
+    time.sleep(1.0)  # longer than the grace period
+    assert exits == [] and all(one._verdict is None for one in ranks.guards)
+    # Only a message that does not arrive ends the job.
+    with ranks.guards[1].waiting("halo"):
+        wait_for(lambda: exits)
+    assert ranks.guards[1]._verdict == f"a message has not arrived, and {said}"
+    assert "has died" not in capsys.readouterr().err
+
+
+def test_a_guard_whose_thread_meets_an_error_goes_on(
+    ranks: Ranks, exits: list[int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fails() -> bool:
+        raise RuntimeError("the group has been destroyed")
+
+    ranks.guards[1].is_broken = fails
+    time.sleep(1.0)
+    assert capsys.readouterr().err.count("pgccd: the guard of rank 1 has failed (RuntimeError: the group") == 1
+    ranks.guards[2].activity = "its user's loop"
+    with ranks.guards[1].waiting("halo"), ranks.guards[0].waiting("halo"):
+        wait_for(lambda: exits)
+    assert ranks.guards[0]._verdict == "rank 2 (process 2) hangs in its user's loop"
 
 
 def test_ranks_do_not_believe_a_hub_without_the_token() -> None:

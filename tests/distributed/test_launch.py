@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+import re
 from datetime import timedelta
 from typing import Any
 
 import pytest
 import torch
 import torch.distributed as dist
+from support.launch import SUPPORT, finish, start_ranks, torchrun
 
 from pgccd.distributed import Placement, choose_device, connect, find_placement
 from pgccd.distributed.comm import nccl
@@ -96,3 +98,24 @@ def test_the_guard_alone_ends_what_waits_for_nccl(monkeypatch: pytest.MonkeyPatc
     # The guard acts before torch's watchdog.
     assert seen["pg_options"].is_high_priority_stream and seen["pg_options"]._timeout > timedelta(seconds=7)
     assert os.environ.get(name) == before
+
+
+def test_process_groups_of_the_user() -> None:
+    done = finish(torchrun(3, str(SUPPORT / "group_job.py")))
+    assert done.returncode == 0 and done.stdout.count("is done") == 3, done.stdout
+
+
+@pytest.mark.parametrize(
+    ("variables", "said"),
+    [
+        ({"GLOO_SOCKET_IFNAME": "eth99"}, r"rank 0: GLOO_SOCKET_IFNAME: \S+ has no interface 'eth99', but .*lo"),
+        ({"CUDA_VISIBLE_DEVICES": ""}, "rank 0: transport: 'nccl' needs a GPU and a torch that was built with NCCL"),
+    ],
+)
+def test_what_ranks_cannot_use_is_named(variables: dict[str, str], said: str) -> None:
+    transport = "gloo" if "GLOO_SOCKET_IFNAME" in variables else "nccl"
+    code = f"from pgccd.distributed import connect; connect(transport={transport!r}, timeout=30.0)"
+    started = start_ranks(2, ["-c", code], **variables)
+    for process in started:
+        assert re.search(said, process.communicate(timeout=100)[0])
+        assert process.returncode != 0

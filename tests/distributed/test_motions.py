@@ -106,7 +106,7 @@ def spread(
         min_separation=0.01,
         partition=partition,
         cells=4,
-        balance=BalanceOptions(policy, start=0.0, goal=0.0, moving=0.0),
+        balance=BalanceOptions(policy, start=0.0, goal=0.0, moving=0.0, deciding=0.0),
         **given,
     )
     if owners:

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import json
 import re
 import socket
 import sys
+import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch.distributed as dist
-from support.launch import SECONDS, finish, start_ranks, torchrun
+from support.launch import SECONDS, finish, free_port, start_ranks, torchrun
 
 from pgccd.distributed.guard import Hub
-from pgccd.distributed.launch import rendezvous
+from pgccd.distributed.launch import interfaces, rendezvous
 from pgccd.distributed.launch.placement import Placement
 from pgccd.distributed.launch.rendezvous import agree_on_start, first_host, meet
 
@@ -85,6 +87,114 @@ def test_variables_that_are_no_numbers_are_named(monkeypatch: pytest.MonkeyPatch
     here = placed(monkeypatch, "srun", MASTER_ADDR="127.0.0.1", **{name: value})
     with pytest.raises(ValueError, match=f"^{name}: expected a number"):
         meet(here, 1.0)
+
+
+@pytest.fixture
+def step(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> dict[str, str]:
+    """A step of Slurm whose nodes share a home folder."""
+    for name in ("MASTER_ADDR", "MASTER_PORT", "SLURM_STEP_RESV_PORTS"):
+        monkeypatch.delenv(name, raising=False)
+    variables = {"SLURM_STEP_NODELIST": "no-such-name", "XDG_CACHE_HOME": str(tmp_path)}
+    variables |= {"SLURM_JOB_ID": "100", "SLURM_STEP_ID": "31"}
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    return variables
+
+
+def meet_in_step(late: int | None = None, seconds: float = 0.0, timeout: float = 20.0) -> list[Any]:
+    """What `meet` returns to each of two ranks of one machine, or raises."""
+
+    def of_rank(rank: int) -> Any:
+        if rank == late:
+            time.sleep(seconds)
+        try:
+            return meet(Placement("srun", rank, 2, rank, True), timeout)
+        except RuntimeError as error:
+            return error
+
+    with ThreadPoolExecutor(2) as threads:
+        return list(threads.map(of_rank, range(2)))
+
+
+@pytest.mark.parametrize("late", [None, 0, 1])
+def test_a_step_meets_at_a_port_that_was_free(late: int | None, step: dict[str, str], tmp_path: Path) -> None:
+    first, second = meet_in_step(late, 1.0)
+    first.store.set("key", "value")
+    assert second.store.get("key") == b"value" and first.is_local and second.is_local
+    assert list((tmp_path / "pgccd").iterdir()) == []
+
+
+def test_steps_have_files_of_their_own(step: dict[str, str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Ports by a formula were the same for steps 100.31 and 101.0."""
+    names = []
+    monkeypatch.setattr(rendezvous._AddressFile, "wait", lambda self, timeout: names.append(self._name) or ("", 0))
+    monkeypatch.setattr(rendezvous, "connect_store", lambda *arguments, **named: None)
+    monkeypatch.setattr(rendezvous, "agree_on_start", lambda *arguments: None)
+    for job, number, cluster in (("100", "31", "a/b"), ("101", "0", "a/b"), ("101", "0", "c")):
+        monkeypatch.setenv("SLURM_JOB_ID", job)
+        monkeypatch.setenv("SLURM_STEP_ID", number)
+        monkeypatch.setenv("SLURM_CLUSTER_NAME", cluster)
+        meet(Placement("srun", 1, 2, 1, True), 1.0)
+    assert names == ["step-a_b-100.31", "step-a_b-101.0", "step-c-101.0"]
+
+
+def test_a_file_that_an_earlier_start_has_left(step: dict[str, str], tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as closed:
+        port = closed.getsockname()[1]
+    folder = tmp_path / "pgccd"
+    folder.mkdir()
+    for content in (json.dumps([["127.0.0.1"], port]), "[", "[[1], 2, 3]", "[" * 3000):
+        left = folder / "step-slurm-100.31"
+        left.write_text(content)
+        left.chmod(0o600)
+        first, second = meet_in_step(late=0, seconds=0.5)
+        first.store.set("key", content)
+        assert second.store.get("key") == content.encode()
+
+
+def test_a_step_whose_nodes_share_no_folder(step: dict[str, str], tmp_path: Path) -> None:
+    with pytest.raises(
+        RuntimeError, match=f"^MASTER_PORT: not set, and {tmp_path}/pgccd/step-slurm-100.31 on "
+    ) as said:
+        meet(Placement("srun", 1, 2, 0), 0.3)
+    assert "set MASTER_PORT (and MASTER_ADDR)" in str(said.value)
+
+
+def test_ports_that_slurm_has_reserved(step: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    port = free_port()
+    monkeypatch.setenv("SLURM_STEP_RESV_PORTS", f"{port}-{port + 7}")
+    first, second = meet_in_step()
+    assert first.store.port == second.store.port == port
+
+
+def test_addresses_of_this_machine() -> None:
+    found = interfaces.addresses()
+    assert found["127.0.0.1"] == "lo" and interfaces.interface_of("::ffff:127.0.0.1") == "lo"
+    assert "127.0.0.1" not in interfaces.outer_addresses() and interfaces.interface_of("192.0.2.1") is None
+    for address in interfaces.outer_addresses():
+        family = socket.AF_INET6 if ":" in address else socket.AF_INET
+        with socket.socket(family) as own:
+            own.bind((address, 0))
+
+
+def test_an_address_of_another_machine_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    here = placed(monkeypatch, "srun", MASTER_ADDR="192.0.2.1", MASTER_PORT=str(free_port()))
+    with pytest.raises(RuntimeError, match="^MASTER_ADDR: 192.0.2.1 is no address of "):
+        meet(here, 1.0)
+
+
+@pytest.mark.parametrize("host", ["no-such-host.invalid", "127.0.0.1"])
+def test_an_address_at_which_nothing_listens(
+    host: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(rendezvous, "_TOLD_AFTER", 0.3)
+    monkeypatch.setattr(rendezvous, "_STORE_SECONDS", rendezvous._REACH_SECONDS + 0.5)
+    port = free_port()
+    placed(monkeypatch, "srun", MASTER_ADDR=host, MASTER_PORT=str(port))
+    with pytest.raises(RuntimeError, match=f"^MASTER_ADDR: rank 0 cannot be reached at {host}, port {port} "):
+        meet(Placement("srun", 1, 2, 0), 1.5)
+    told = f"pgccd: rank 0 is not yet reached at {host}, port {port} (MASTER_ADDR, MASTER_PORT): "
+    assert capsys.readouterr().err.count(told) == 1
 
 
 def test_a_hub_of_all_interfaces_can_be_reached_by_ipv6() -> None:

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import torch
 from safetensors.torch import load_file, save_file
-from support.checkpoint_faults import plant
+from support.checkpoint_faults import newest, plant
 
 from distributed.conftest import World
 from pgccd import sim
@@ -30,7 +30,7 @@ from pgccd.sim.response import respond
 CONFIG = sim.ModelConfig(robots=240, pattern="skewed", speed=0.25, seed=5)
 
 
-EAGER = BalanceOptions("cost", start=0.0, goal=0.0, moving=0.0)
+EAGER = BalanceOptions("cost", start=0.0, goal=0.0, moving=0.0, deciding=0.0)
 
 
 def go_on(comm: Comm, folder: str, kind: str = "cells") -> list[dict[str, Any]]:
@@ -110,7 +110,7 @@ def test_any_number_of_ranks_reads_what_another_wrote(ranks: World, tmp_path: Pa
         assert sorted(sum(shares, [])) == list(range(240))
         assert {len(ids) for ids in shares} == {240 // size}
     # All ranks raise an error for damaged files, whichever rank reads them.
-    (damaged,) = tmp_path.glob("checkpoints/step-*/rank-00001.safetensors")
+    damaged = newest(tmp_path) / "rank-00001.safetensors"
     content = bytearray(damaged.read_bytes())
     content[-5] ^= 1
     damaged.write_bytes(content)
@@ -145,7 +145,7 @@ def load(comm: Comm, folder: str, kind: str) -> str:
 
 def test_the_partition_is_verified(ranks: World, tmp_path: Path) -> None:
     ranks.run(2, go_on, str(tmp_path))
-    (table,) = tmp_path.glob("checkpoints/step-*/shared.safetensors")
+    table = newest(tmp_path) / "shared.safetensors"
     table.write_bytes(table.read_bytes()[:-8])
     for said in ranks.run(2, load, str(tmp_path), "cells"):
         assert re.search(r"shared.safetensors is damaged: it has \d+ bytes", said)
@@ -176,7 +176,7 @@ def test_planes_that_were_planted(ranks: World, tmp_path: Path, wrong: str) -> N
     """With valid hashes."""
     ranks.run(3, go_on, str(tmp_path), "bisection")
     assert ranks.run(3, load, str(tmp_path), "bisection") == [""] * 3
-    (path,) = tmp_path.glob("checkpoints/step-*/shared.safetensors")
+    path = newest(tmp_path) / "shared.safetensors"
     change, expected = WRONG_PLANES[wrong]
     save_file(change(load_file(path)["planes"]), path)
     raw = path.read_bytes()

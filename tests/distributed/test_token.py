@@ -1,16 +1,21 @@
-"""Only processes of the job get its token, from any source."""
+"""Only processes of the job get its token, from any source; a store is none."""
 
 from __future__ import annotations
 
+import os
+import re
 import stat
+import subprocess
+import sys
 import warnings
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 import torch.distributed as dist
+from support.launch import SECONDS, environment, free_port
 
-from pgccd.distributed.launch import token
+from pgccd.distributed.launch import private_files, token
 from pgccd.distributed.launch.placement import Placement
 from pgccd.distributed.launch.token import share_token
 
@@ -21,13 +26,26 @@ SIZE = 3
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.delenv(token.VARIABLE, raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(token, "_SEEN_WITHIN", 0.3)
     return tmp_path / "pgccd"
 
 
-def share(store: dist.Store) -> list[bytes]:
-    places = [Placement("srun", rank, SIZE, 0) for rank in range(SIZE)]
+def share(store: dist.Store, one_machine: bool = False) -> list[bytes | str]:
+    """The token of each rank, or its error."""
+
+    def of_rank(rank: int) -> bytes | str:
+        try:
+            return share_token(store, Placement("srun", rank, SIZE, 0, one_machine), 20.0)
+        except RuntimeError as error:
+            return str(error)
+
     with ThreadPoolExecutor(SIZE) as threads:
-        return list(threads.map(lambda place: share_token(store, place, 20.0), places))
+        return list(threads.map(of_rank, range(SIZE)))
+
+
+def content(store: dist.Store) -> list[bytes]:
+    """All that anybody may read in a store."""
+    return [store.get(key) for key in ("token/file", "token/looked")]
 
 
 def test_through_a_file_that_others_cannot_read(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -43,16 +61,47 @@ def test_through_a_file_that_others_cannot_read(cache: Path, monkeypatch: pytest
     found = share(store)
     assert len(set(found)) == 1 and len(found[0]) == 32
     assert modes == [0o600] * (SIZE - 1)
-    assert store.get("token/by store") == b""
     assert list(cache.iterdir()) == []
     assert share(dist.HashStore()) != found
+    assert store.num_keys() == 2  # the file's name, and how many ranks have looked
 
 
-def test_through_the_store_where_there_is_no_common_folder(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("one_machine", [False, True])
+def test_the_store_hands_out_no_token(cache: Path, monkeypatch: pytest.MonkeyPatch, one_machine: bool) -> None:
+    """Neither to ranks that see no file, nor to a stranger who says so."""
     monkeypatch.setattr(token, "_read", lambda path: b"")
-    with pytest.warns(UserWarning, match="2 ranks see no file of rank 0.*set PGCCD_JOB_TOKEN"):
-        found = share(dist.HashStore())
-    assert len(set(found)) == 1 and len(found[0]) == 32
+    store = dist.HashStore()
+    store.add("token/lacking", 1)
+    first, *others = share(store, one_machine)
+    assert isinstance(first, bytes) and len(first) == 32
+    for other in others:
+        assert re.fullmatch(
+            r"token: .*/token-\S+ of rank 0 is no private file of this user on \S+: set PGCCD_JOB_TOKEN.*", other
+        )
+    for value in content(store):
+        assert first not in value and first.hex().encode() not in value
+    assert list(cache.iterdir()) == []
+
+
+def test_a_file_that_another_machine_sees_late(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(token, "_SEEN_WITHIN", 20.0)
+    looks, read = [], token._read
+
+    def late(path: Path) -> bytes:
+        looks.append(path)
+        return read(path) if len(looks) > 6 else b""
+
+    monkeypatch.setattr(token, "_read", late)
+    assert len(set(share(dist.HashStore()))) == 1
+    del looks[:]
+    assert "is no private file" in str(share(dist.HashStore(), one_machine=True)[1])
+
+
+def test_no_folder_can_be_written(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(private_files, "folders", lambda: [Path("/proc/none")])
+    monkeypatch.setattr(token, "folders", lambda: [Path("/proc/none")])
+    for said in share(dist.HashStore()):
+        assert re.fullmatch("token: rank 0 can write no file .*: set PGCCD_JOB_TOKEN to the same secret.*", str(said))
 
 
 def test_through_the_environment(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -66,17 +115,55 @@ def test_through_the_environment(cache: Path, monkeypatch: pytest.MonkeyPatch) -
 def test_what_is_no_token_is_not_taken_for_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "token"
     assert token._read(path) == b"" and token._read(tmp_path) == b""
-    for content in (b"", b"x" * 31, b"x" * 33):
-        path.write_bytes(content)
+    for given in (b"", b"x" * 31, b"x" * 33, b"x" * 5000):
+        path.write_bytes(given)
+        path.chmod(0o600)
         assert token._read(path) == b""
     path.write_bytes(b"x" * 32)
     assert token._read(path) == b"x" * 32
-    monkeypatch.setattr(token.os, "getuid", lambda: path.stat().st_uid + 1)  # another user's
+    (tmp_path / "link").symlink_to(path)
+    assert token._read(tmp_path / "link") == b""
+    os.mkfifo(tmp_path / "pipe", 0o600)  # would wait for a writer
+    assert token._read(tmp_path / "pipe") == b""
+    for mode in (0o640, 0o604, 0o620):  # others may know it, or have written it
+        path.chmod(mode)
+        assert token._read(path) == b""
+    path.chmod(0o600)
+    monkeypatch.setattr(private_files.os, "getuid", lambda: path.stat().st_uid + 1)  # another user's
     assert token._read(path) == b""
-    assert token._write(b"x", path / "below a file") is None
 
 
 def test_ranks_that_do_not_come(cache: Path) -> None:
     with pytest.raises(RuntimeError, match="^not all of 3 ranks connected within 0.1 s$"):
         share_token(dist.HashStore(), Placement("srun", 0, SIZE, 0), 0.1)
     assert list(cache.iterdir()) == []
+
+
+@pytest.mark.parametrize("knows_port", [True, False])
+def test_a_stranger_in_the_place_of_a_rank(knows_port: bool, tmp_path: Path) -> None:
+    """It knows Slurm's variables, and can read no file of the user."""
+    variables = {"SLURM_STEP_NUM_TASKS": "2", "SLURM_STEP_NUM_NODES": "2", "SLURM_STEP_NODELIST": "127.0.0.1"}
+    variables |= {"SLURM_JOB_ID": "88", "SLURM_STEP_ID": "0", "SLURM_LOCALID": "0"}
+    variables |= {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(free_port())} if knows_port else {}
+    job = ["simulate", "--robots", "9", "--steps", "1", "--timeout", "8", "--out", str(tmp_path / "out")]
+    blind = (
+        "import os, sys; from pgccd import cli; from pgccd.distributed.launch import token; token._SEEN_WITHIN = 0.1\n"
+    )
+    blind += "if os.environ['SLURM_PROCID'] == '1': token._read = lambda path: b''\n"
+    started = [
+        subprocess.Popen(
+            [sys.executable, "-c", blind + f"sys.exit(cli.main({job!r}))"],
+            env=environment(**variables, SLURM_PROCID=str(rank), XDG_CACHE_HOME=str(tmp_path / str(rank))),
+            cwd=tmp_path,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        for rank in range(2)
+    ]
+    said = [process.communicate(timeout=SECONDS)[0] for process in started]
+    assert all(process.returncode != 0 for process in started), said
+    assert not (tmp_path / "out" / "steps.jsonl").exists()
+    expected = "is no private file of this user" if knows_port else "ranks [1] of 2 did not connect within 8 s"
+    assert expected in said[0], said
+    assert "Traceback" not in said[0], said

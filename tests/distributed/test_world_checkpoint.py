@@ -22,7 +22,7 @@ from pgccd.distributed.checkpoint import writing
 from pgccd.distributed.comm.exchange import take_rows
 
 CPU = torch.device("cpu")
-EAGER = BalanceOptions("cost", start=0.0, goal=0.0, moving=0.0)
+EAGER = BalanceOptions("cost", start=0.0, goal=0.0, moving=0.0, deciding=0.0)
 LOOP, SAVED = 6, 3  # steps of the loop, and before the checkpoint
 CROWD = "kept apart, filtered"
 
@@ -165,7 +165,7 @@ def load_deforming(comm: Comm, folder: str, report: str, partition: str) -> int:
             comm=comm,
             report=report,
             min_separation=0.01,
-            balance=BalanceOptions("cost", start=0.0, goal=0.0, moving=0.0),
+            balance=BalanceOptions("cost", start=0.0, goal=0.0, moving=0.0, deciding=0.0),
         )
         if when == "before":
             assert torch.equal(world.vertex_payload["x"], vertices_of(rows_of(world), 0))

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import itertools
 import json
+import os
 import pickle
 import re
 import shutil
+import threading
+import time
+import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
-from support.checkpoint_faults import Runs, changes_by_chance, plant
+from support.checkpoint_faults import Runs, changes_by_chance, files_of, newest, plant
 
 from pgccd import sim
 from pgccd.checkpoint import files as module
@@ -27,7 +31,7 @@ def start_state() -> sim.RobotState:
     return sim.Model(CONFIG).start()
 
 
-def write(folder: Path, steps_made: int, ranks: int = 3) -> Path:
+def write(folder: Path, steps_made: int, ranks: int = 3, keep: int = module.KEEP) -> Path:
     """A checkpoint as written by many ranks."""
     root, state = folder / FOLDER, start_state()
     name = module.make_folder(root, KIND, steps_made)
@@ -37,7 +41,7 @@ def write(folder: Path, steps_made: int, ranks: int = 3) -> Path:
         files.append(module.write_tables(root / name, rank, {ROBOTS: part}))
     header = Header(CONFIG, steps_made, 20, "digest")
     content = module.Content(KIND, steps_made, header.plain, {"owner": torch.arange(24) % 3})
-    return module.publish(root, name, content, module.layout_of({ROBOTS: part}), files)
+    return module.publish(root, name, content, module.layout_of({ROBOTS: part}), files, keep)
 
 
 def same(found: sim.RobotState, expected: sim.RobotState) -> bool:
@@ -69,14 +73,98 @@ def test_what_was_written_is_read(tmp_path: Path) -> None:
     assert find_checkpoint(tmp_path / "none") is None
 
 
-def test_only_the_newest_is_kept(tmp_path: Path) -> None:
-    first = write(tmp_path, 5)
-    again = write(tmp_path, 5)  # of the same step
-    assert first != again and not first.exists() and again.exists()
-    (tmp_path / FOLDER / "step-000000006-00000000").mkdir()  # of a job killed while writing it
-    (tmp_path / FOLDER / "step-000000006-00000000.pointer").touch()
-    newest = write(tmp_path, 6)
-    assert sorted(path.name for path in (tmp_path / FOLDER).iterdir()) == sorted([POINTER, newest.name])
+@pytest.mark.parametrize("keep", [1, 2, 3])
+def test_only_the_newest_are_kept(tmp_path: Path, keep: int) -> None:
+    written = [write(tmp_path, 5, keep=keep), write(tmp_path, 5, keep=keep)]  # of the same step
+    assert written[0] != written[1]
+    for steps_made in (6, 7, 8):
+        (tmp_path / FOLDER / "step-000000006-00000000").mkdir()  # of a job killed while writing it
+        (tmp_path / FOLDER / "step-000000006-00000000.pointer").touch()
+        written.append(write(tmp_path, steps_made, keep=keep))
+        kept = [path.name for path in written[-keep:]]
+        assert sorted(path.name for path in (tmp_path / FOLDER).iterdir()) == sorted([POINTER, *kept])
+    assert read_all(tmp_path).steps_made == 8
+    # One before it, if the newest is damaged.
+    (written[-1] / "index.json").write_text("{}")
+    with pytest.raises(module.CheckpointError, match="is damaged"):
+        read_all(tmp_path)
+    if keep > 1:
+        shutil.copy(written[-2] / POINTER, tmp_path / FOLDER)
+        assert read_all(tmp_path).steps_made == 7
+
+
+def test_the_number_kept_is_checked(tmp_path: Path) -> None:
+    for keep in (0, -1, 1.5, True):
+        with pytest.raises((ValueError, TypeError), match="^keep: expected a number of checkpoints >= 1"):
+            sim.run(CONFIG, 1, tmp_path / "run", keep=keep)
+
+
+def test_files_that_are_not_seen_make_no_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a rank that writes to a folder of its own."""
+    monkeypatch.setattr(module, "_SEEN_WITHIN", 0.2)
+    write(tmp_path, 5)
+    written = module.write_tables
+
+    def elsewhere(folder: Path, rank: int, tables: Any) -> Any:
+        entry = written(folder, rank, tables)
+        if rank == 1:
+            (folder / entry.name).unlink()
+        return entry
+
+    monkeypatch.setattr(module, "write_tables", elsewhere)
+    said = r"rank-00001.safetensors, which rank 1 has written, is not seen by rank 0$"
+    with pytest.raises(module.CheckpointError, match=said):
+        write(tmp_path, 6)
+    assert read_all(tmp_path).steps_made == 5
+    # A file may be seen late.
+    monkeypatch.setattr(module, "_SEEN_WITHIN", 20.0)
+
+    def late(folder: Path, rank: int, tables: Any) -> Any:
+        entry = written(folder, rank, tables)
+        hidden = folder / f"{rank}"
+        (folder / entry.name).rename(hidden)
+        threading.Timer(0.3, lambda: hidden.rename(folder / entry.name)).start()
+        return entry
+
+    monkeypatch.setattr(module, "write_tables", late)
+    write(tmp_path, 7)
+    assert read_all(tmp_path).steps_made == 7
+
+
+@pytest.mark.parametrize("name", [POINTER, "index.json", "rank-00000.safetensors", "lock", "log"])
+@pytest.mark.parametrize("kind", ["pipe", "device", "folder", "sparse", "link to a pipe", "long"])
+def test_what_is_no_sane_file_is_refused_at_once(tmp_path: Path, name: str, kind: str) -> None:
+    """Neither waits for a writer nor fills the memory."""
+    sim.run(CONFIG, 7, tmp_path)
+    folder = newest(tmp_path)
+    places = {POINTER: tmp_path / FOLDER / POINTER, "lock": tmp_path / "lock", "log": tmp_path / "steps.jsonl"}
+    path = places.get(name, folder / name)
+    path.unlink(missing_ok=True)
+    if kind in ("pipe", "link to a pipe"):
+        os.mkfifo(tmp_path / "pipe")
+        (tmp_path / "pipe").rename(path) if kind == "pipe" else path.symlink_to(tmp_path / "pipe")
+    elif kind == "device":
+        path.symlink_to("/dev/zero")
+    elif kind == "folder":
+        path.mkdir()
+    elif kind == "long":
+        path.write_text(json.dumps({"folder": "x\n" * 10_000, "format": "y" * 10_000, "kind": 3}))
+    else:
+        with open(path, "wb") as file:
+            file.truncate(1 << 40)
+    begin = time.monotonic()
+    is_harmless = (name == "lock" and kind in ("long", "sparse")) or (name == "log" and kind == "long")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the log lacks lines
+            sim.resume(tmp_path, 7)
+    except ValueError as error:
+        assert not is_harmless, error
+        assert not isinstance(error, FileNotFoundError) and str(path.name) in str(error)
+        assert len(str(error)) < 300 + len(str(tmp_path)) and len(str(error).splitlines()) == 1
+    else:
+        assert is_harmless
+    assert time.monotonic() - begin < 10.0
 
 
 def fail_at(patch: pytest.MonkeyPatch, call: str, number: int, error: BaseException) -> Iterator[int]:
@@ -111,7 +199,7 @@ def test_a_failure_leaves_a_whole_one(tmp_path: Path, monkeypatch: pytest.Monkey
     is_last = failed and call == "_sync" and number == 6
     assert read_all(tmp_path).steps_made == (5 if failed and not is_last else 6)
     write(tmp_path, 7)
-    assert read_all(tmp_path).steps_made == 7 and len(list((tmp_path / FOLDER).iterdir())) == 2
+    assert read_all(tmp_path).steps_made == 7 and len(list((tmp_path / FOLDER).iterdir())) == 3
 
 
 def test_any_change_is_refused_in_one_line_or_makes_no_difference(tmp_path: Path) -> None:
@@ -122,7 +210,7 @@ def test_any_change_is_refused_in_one_line_or_makes_no_difference(tmp_path: Path
             found = read_all(tmp_path)
         except module.CheckpointError as error:
             refused += 1
-            assert str(tmp_path) in str(error) and len(str(error).splitlines()) == 1
+            assert str(tmp_path) in str(error) and len(str(error).splitlines()) == 1 and len(str(error)) < 300
         else:
             assert same(found.state, expected) and found.steps_made == 7 and found.config == CONFIG
     assert refused > 9_000
@@ -140,7 +228,7 @@ def test_a_file_that_is_missing_is_named(tmp_path: Path, missing: str) -> None:
 def test_nothing_in_a_checkpoint_is_executed(tmp_path: Path) -> None:
     folder, proof = write(tmp_path, 7), tmp_path / "executed"
     bomb = pickle.dumps(Runs(proof))
-    for path in [*folder.iterdir(), tmp_path / FOLDER / POINTER]:
+    for path in files_of(tmp_path):
         raw = path.read_bytes()
         path.write_bytes(bomb)
         with pytest.raises(module.CheckpointError):

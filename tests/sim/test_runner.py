@@ -5,7 +5,10 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import signal
+import tracemalloc
+from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
@@ -18,10 +21,11 @@ import pgccd
 from pgccd import sim
 from pgccd.checkpoint.lock import FolderError
 from pgccd.runtime.stages import StageClock
+from pgccd.sim import log as log_module
 from pgccd.sim import replay
 from pgccd.sim.log import LOG_FILE, StepLog
 from pgccd.sim.run_folder import WORLD_FILE
-from pgccd.sim.summary import summary_lines
+from pgccd.sim.summary import Totals
 
 CONFIG = sim.ModelConfig(robots=200, pattern="skewed", seed=11, speed=0.2)
 FIELDS = {"step", "robots", "pcs", "contacts", "contacts_hash", "state_hash", "seconds", "stage_seconds", "candidates"}
@@ -188,6 +192,56 @@ def test_a_log_that_lacks_lines_does_not_make_a_checkpoint_useless(
     assert without_times(log(tmp_path)) == expected[:7] + expected[9:12]
 
 
+def test_the_log_of_another_run_is_refused(finished: tuple[Path, sim.Run], tmp_path: Path) -> None:
+    sim.run(CONFIG, 9, tmp_path)
+    own = (tmp_path / LOG_FILE).read_bytes()
+    sim.run(sim.ModelConfig(robots=200, pattern="skewed", seed=12, speed=0.2), 12, tmp_path / "other")
+    shutil.copy(tmp_path / "other" / LOG_FILE, tmp_path)
+    said = r"^folder: .*steps.jsonl is not of this checkpoint: the state hash of its step 8 is \w{16}, that of the .*"
+    with pytest.raises(FolderError, match=said) as error:
+        sim.resume(tmp_path, 12)
+    assert len(str(error.value).splitlines()) == 1
+    assert (tmp_path / LOG_FILE).read_bytes() == (tmp_path / "other" / LOG_FILE).read_bytes()
+    (tmp_path / LOG_FILE).write_bytes(own)
+    sim.resume(tmp_path, 12)
+    assert without_times(log(tmp_path)) == without_times(log(finished[0]))[:12]
+
+
+@pytest.mark.parametrize("block", [7, 64, 4096, 1 << 20])
+def test_only_the_end_of_the_log_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, block: int) -> None:
+    monkeypatch.setattr(log_module, "_BLOCK", block)
+    monkeypatch.setattr(log_module, "_LONGEST_LINE", 5000)
+    record = {"step": 0, "seconds": 0.5, "stage_seconds": {}, "contacts_hash": "0", "state_hash": "0"}
+    record |= dict.fromkeys(log_module._COUNTS, 1)
+    record |= {"ranks": {"x": [0] * 20}}
+    lines = [json.dumps(record | {"step": step, "state_hash": f"{step}"}) for step in range(40)]
+    path = tmp_path / LOG_FILE
+    for steps_made in (1, 7, 39, 40):
+        for more in ("", "\n", "{", "x" * 900 + "\n", '\n{"step": 5}\n\n'):
+            path.write_text("\n".join(lines) + "\n" + more)
+            log_module.StepLog(tmp_path, steps_made, f"{steps_made - 1}")._file.close()
+            assert path.read_text() == "".join(line + "\n" for line in lines[:steps_made])
+    path.write_text(path.read_text() + "x" * 20_000)
+    readers: list[Callable[[], object]] = [lambda: sim.read_log(tmp_path)]
+    readers += [lambda: StepLog(tmp_path, 40, "39")] * (block < 5000)
+    for read in readers:
+        with pytest.raises(ValueError, match=r"steps.jsonl cannot be .*: a line has more than 5000 bytes$"):
+            read()
+    path.write_text("".join(line + "\n" for line in lines))
+    found = list(log_module.iterate_log(tmp_path, with_ranks=False))
+    assert [each["step"] for each in found] == list(range(40)) and "ranks" not in found[0]
+
+
+def test_nothing_of_the_log_is_kept_in_memory(tmp_path: Path) -> None:
+    with StepLog(tmp_path, 0) as written:
+        tracemalloc.start()
+        for step in range(300):
+            written.append({"step": step, "ranks": {"pcs": list(range(1000))}})
+        kept, _ = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+    assert kept < 200_000 < (tmp_path / LOG_FILE).stat().st_size
+
+
 def test_a_run_of_no_steps_is_a_run(tmp_path: Path) -> None:
     run = sim.run(CONFIG, 0, tmp_path)
     assert run.records == [] and run.last_steps == [] and not run.interrupted
@@ -203,11 +257,11 @@ def test_a_damaged_line_of_the_log_costs_no_other(finished: tuple[Path, sim.Run]
     lines[7] = re.sub(rb'"contacts": \d+', b'"contacts": "3"', lines[7])
     lines[8] = re.sub(rb'"plan": [^,}]+', b'"plan": "0"', lines[8])
     (tmp_path / LOG_FILE).write_bytes(b"".join([*lines[:4], lines[1], *lines[4:]]))  # one twice
-    with pytest.warns(UserWarning, match="lacks 5 of 9 steps"):
+    with pytest.warns(UserWarning, match="lacks 4 of 9 steps"):  # at the end; only that is read
         run = sim.resume(tmp_path, 12)
     expected = without_times(log(finished[0]))
-    assert without_times(log(tmp_path)) == [*expected[:2], *expected[3:5], *expected[9:12]]
-    assert len(summary_lines(run)) > 7
+    assert without_times(sim.read_log(tmp_path)) == [*expected[:2], *expected[3:5], *expected[9:12]]
+    assert len(Totals(run).lines) > 7
 
 
 @pytest.mark.parametrize("replaced", [True, False])

@@ -20,8 +20,8 @@ def newest(folder: Path) -> Path:
 
 
 def files_of(folder: Path) -> list[Path]:
-    """The pointer, and all files of the newest checkpoint."""
-    return [folder / FOLDER / POINTER, *sorted(newest(folder).iterdir())]
+    """The pointer, and all files of the newest checkpoint but the copy of the pointer, which is not read."""
+    return [folder / FOLDER / POINTER, *(path for path in sorted(newest(folder).iterdir()) if path.name != POINTER)]
 
 
 def mutations(raw: bytes, rng: np.random.Generator) -> list[bytes]:

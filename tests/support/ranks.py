@@ -74,7 +74,7 @@ class RankPool:
 
 
 def to_all(comm: Comm, value: Any) -> list[Any]:
-    """The picklable values of all ranks, on every rank."""
+    """The values of all ranks, on every rank."""
     return comm.broadcast_object(comm.gather_objects(value))
 
 

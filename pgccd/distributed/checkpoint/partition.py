@@ -9,7 +9,7 @@ from torch import Tensor
 from pgccd.checkpoint.files import CheckpointError
 from pgccd.checkpoint.stored import Stored
 from pgccd.distributed.comm.interface import Comm
-from pgccd.distributed.launch.agreement import on_first, together
+from pgccd.distributed.launch.agreement import together
 from pgccd.distributed.partition.bisection import Bisection
 from pgccd.distributed.partition.cells import Cells
 from pgccd.distributed.partition.interface import Partition
@@ -46,7 +46,8 @@ def load_partition(comm: Comm, stored: Stored, uniform: Partition) -> Partition:
     """
     if stored.header.get("partition") != partition_header(uniform)[0]:
         return uniform
-    shared = on_first(comm, stored.shared)
+    own = together(comm, lambda: stored.shared() if comm.rank == 0 else {})
+    shared = {name: comm.broadcast(own.get(name)) for name in comm.broadcast_object(list(own))}
 
     def restore() -> Partition:
         try:

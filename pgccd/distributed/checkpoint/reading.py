@@ -2,13 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TypeVar
+
 import torch
 
-from pgccd.checkpoint.stored import Stored
+from pgccd.checkpoint.stored import Index, Stored
 from pgccd.distributed.comm.exchange import Columns
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.halo.migrate import id_range
-from pgccd.distributed.launch.agreement import together
+from pgccd.distributed.launch.agreement import on_first, together
+
+S = TypeVar("S", bound=Stored)
+
+
+def open_stored(comm: Comm, read: Callable[[Index | None], S]) -> S:
+    """A checkpoint whose index rank 0 has read, on all ranks.
+
+    Args:
+        comm: between the ranks.
+        read: reads the checkpoint, given its `Stored.index` or None.
+
+    Raises:
+        ValueError, FileNotFoundError: as `read` on rank 0; a ValueError on the others.
+    """
+    name, content = on_first(comm, lambda: read(None).index)
+    return together(comm, lambda: read((name, content)))
 
 
 def load_share(comm: Comm, stored: Stored, table: str, ragged: tuple[str, str] | None = None) -> dict[str, Columns]:

@@ -9,6 +9,7 @@ import threading
 from collections.abc import Mapping
 from concurrent.futures import Future
 from contextlib import nullcontext
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,7 @@ class CheckpointWriter:
         comm: between the ranks; all methods are called by all ranks.
         folder: shared by all ranks.
         kind: of the checkpoints: see `pgccd.checkpoint.files.Content`.
+        keep: number of checkpoints to keep: the newest ones.
 
     Example:
         >>> writer = CheckpointWriter(comm, folder, "world")
@@ -44,8 +46,8 @@ class CheckpointWriter:
         >>> writer.finish()
     """
 
-    def __init__(self, comm: Comm, folder: Path, kind: str) -> None:
-        self._comm, self._kind = comm, kind
+    def __init__(self, comm: Comm, folder: Path, kind: str, keep: int = files.KEEP) -> None:
+        self._comm, self._kind, self._keep = comm, kind, keep
         self._root = folder / files.FOLDER
         self._background: Objects | None = None
         self._writing: tuple[Future[Path], threading.Thread] | None = None
@@ -118,13 +120,13 @@ class CheckpointWriter:
             except Exception as failed:  # of any kind: the other ranks wait for the outcome
                 error = self._problem(name, failed)
         assert self._background is not None
-        of_ranks = self._background.gather((own, error))
+        of_ranks = self._background.gather([None if own is None else asdict(own), error])
         if self._comm.rank == 0:
-            error = next((text for _, text in of_ranks if text is not None), None)
+            error = next((str(text) for _, text in of_ranks if text is not None), None)
             if error is None:
                 try:
-                    rows = [entry for entry, _ in of_ranks if entry is not None]
-                    files.publish(self._root, name, content, files.layout_of(tables), rows)
+                    rows = [files.file_entry(entry) for entry, _ in of_ranks]
+                    files.publish(self._root, name, content, files.layout_of(tables), rows, self._keep)
                 except Exception as failed:
                     error = self._problem(name, failed)
             if error is not None:

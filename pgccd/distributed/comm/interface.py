@@ -13,6 +13,8 @@ from typing import Any, Generic, Protocol, TypeVar
 import torch
 from torch import Tensor
 
+from pgccd import arguments
+from pgccd.distributed.comm.objects import Objects
 from pgccd.distributed.comm.peer_memory import PeerMessages
 from pgccd.distributed.guard import Guard, RankFailureError, is_of_all_ranks
 
@@ -45,20 +47,6 @@ class Pending(Generic[T]):
             return self._wait()
         with self._guard.waiting("exchange"):
             return self._wait()
-
-
-class Objects:
-    """Exchange of small picklable values with rank 0. This class is for one rank; every method must be called by all
-    ranks, in the same order.
-    """
-
-    def gather(self, value: Any) -> list[Any]:
-        """The values of all ranks on rank 0; an empty list on the others."""
-        return [value]
-
-    def broadcast(self, value: Any) -> Any:
-        """Rank 0's value."""
-        return value
 
 
 class Comm(ABC):
@@ -126,7 +114,7 @@ class Comm(ABC):
     @property
     @abstractmethod
     def objects(self) -> Objects:
-        """The exchange of picklable values."""
+        """The exchange of small values."""
 
     @property
     @abstractmethod
@@ -134,14 +122,29 @@ class Comm(ABC):
         """The same, from a separate thread, concurrent with other messages; created by a call on all ranks."""
 
     def gather_objects(self, value: Any) -> list[Any]:
-        """A small picklable value of every rank on rank 0, ordered by rank; an empty list on the others."""
+        """A small value of every rank on rank 0, ordered by rank; an empty list on the others. Values are sent as JSON,
+        in which tuples are lists.
+        """
         with self.guard.waiting("gather of objects"):
             return self.objects.gather(value)
 
     def broadcast_object(self, value: Any) -> Any:
-        """Rank 0's small picklable value."""
+        """Rank 0's small value, as by `gather_objects`."""
         with self.guard.waiting("broadcast of an object"):
             return self.objects.broadcast(value)
+
+    def broadcast(self, values: Tensor | None) -> Tensor:
+        """Rank 0's tensor, on the CPU, of any shape and dtype; what other ranks pass is ignored."""
+        mine = values.detach().cpu().contiguous() if self.rank == 0 and values is not None else None
+        layout = None if mine is None else [arguments.dtype_name(mine.dtype), list(mine.shape)]
+        dtype, shape = self.broadcast_object(layout)
+        tensor = torch.zeros(shape, dtype=getattr(torch, dtype)) if mine is None else mine
+        if not tensor.numel():
+            return tensor
+        packed = tensor.view(-1).view(torch.uint8)
+        # The sum of rank 0's bytes and of zeros.
+        words = torch.nn.functional.pad(packed, (0, -len(packed) % 8)).view(torch.int64)
+        return self.sum(words).view(torch.uint8)[: len(packed)].view(tensor.dtype).view(shape)
 
     def _peers(self, peers: Sequence[int] | None) -> Sequence[int] | None:
         """The ranks to send to point-to-point; None: one collective call with all ranks."""

@@ -12,8 +12,9 @@ import torch
 import torch.distributed as dist
 from torch import Tensor
 
-from pgccd.distributed.comm.interface import Comm, Objects, Pending, messages
-from pgccd.distributed.comm.torch_comm import GroupObjects
+from pgccd.distributed.comm.interface import Comm, Pending, messages
+from pgccd.distributed.comm.objects import Objects, decode, encode, require_sizes
+from pgccd.distributed.comm.torch_comm import NO_TIMEOUT, GroupObjects
 from pgccd.distributed.guard import Guard
 
 # Environment variables that make MPI libraries read GPU memory, or declare that they do.
@@ -27,16 +28,30 @@ _CUDA_SWITCHES = {
 
 
 class MpiObjects(Objects):
-    """Exchange of picklable values over an MPI communicator."""
+    """Exchange of small values over an MPI communicator. mpi4py's methods whose names begin with a small letter send
+    pickles.
+    """
 
     def __init__(self, world: Any) -> None:
         self._world = world
 
     def gather(self, value: Any) -> list[Any]:
-        return self._world.gather(value) or []
+        own, is_first = encode(value), self._world.Get_rank() == 0
+        sizes = torch.zeros(self._world.Get_size(), dtype=torch.int64)
+        self._world.Allgather(torch.tensor([len(own)]).numpy(), sizes.numpy())
+        announced = require_sizes(sizes)
+        gathered = own.new_empty(sum(announced) if is_first else 0)
+        self._world.Gatherv(own.numpy(), [gathered.numpy(), announced] if is_first else None)
+        return [decode(each) for each in gathered.split(announced)] if is_first else []
 
     def broadcast(self, value: Any) -> Any:
-        return self._world.bcast(value)
+        is_first = self._world.Get_rank() == 0
+        own = encode(value if is_first else None)
+        size = torch.tensor([len(own)])
+        self._world.Bcast(size.numpy())
+        message = own if is_first else own.new_empty(require_sizes(size))
+        self._world.Bcast(message.numpy())
+        return decode(message)
 
 
 class MpiComm(Comm):
@@ -148,7 +163,8 @@ class MpiComm(Comm):
     def background(self) -> Objects:
         if self.control is None:
             raise RuntimeError("control: checkpoints need a torch.distributed group beside MPI")
-        return GroupObjects(dist.new_group(backend="gloo"))
+        with self.guard.waiting("connection"):
+            return GroupObjects(dist.new_group(backend="gloo", timeout=NO_TIMEOUT))
 
     def close(self) -> None:
         self.guard.close()

@@ -5,14 +5,24 @@ from __future__ import annotations
 import functools
 import weakref
 from collections.abc import Callable, Sequence
+from datetime import timedelta
 from typing import Any
 
 import torch
 import torch.distributed as dist
 from torch import Tensor
+from torch.nn.functional import pad
 
-from pgccd.distributed.comm.interface import Closeable, Comm, Objects, Pending, messages
-from pgccd.distributed.comm.peer_access import are_peers, map_peer_memory, place_of_gpu, read_setting, warn_if_wanted
+from pgccd.distributed.comm.interface import Closeable, Comm, Pending, messages
+from pgccd.distributed.comm.objects import Objects, decode, encode, require_sizes
+from pgccd.distributed.comm.peer_access import (
+    Place,
+    are_peers,
+    map_peer_memory,
+    place_of_gpu,
+    read_setting,
+    warn_if_wanted,
+)
 from pgccd.distributed.comm.peer_memory import PeerMemory, size_of
 from pgccd.distributed.guard import Guard, RankFailureError
 from pgccd.runtime.events import gpu_finishes_within
@@ -20,24 +30,39 @@ from pgccd.runtime.events import gpu_finishes_within
 # After an error of this rank: the time for messages that other ranks may still send, and the time in which kernels end
 # after `stop_messages`. Together shorter than the guard's grace period, after which it ends the process.
 _LAST_MESSAGES_SECONDS, _STOP_SECONDS = 5.0, 2.0
+#: Time-out of Gloo's groups. The guard ends an exchange that takes too long; Gloo's clock also runs while the job is
+#: suspended.
+NO_TIMEOUT = timedelta(days=365)
 
 
 class GroupObjects(Objects):
-    """Exchange of picklable values over a process group."""
+    """Exchange of small values over a process group."""
 
     def __init__(self, group: dist.ProcessGroup) -> None:
         self._group = group
+        self._device = torch.device("cuda" if dist.get_backend(group) == "nccl" else "cpu")
 
     def gather(self, value: Any) -> list[Any]:
-        size, is_first = dist.get_world_size(self._group), dist.get_rank(self._group) == 0
-        gathered: list[Any] = [None] * size
-        dist.gather_object(value, gathered if is_first else None, group_dst=0, group=self._group)
-        return gathered if is_first else []
+        own = encode(value).to(self._device)
+        sizes = own.new_zeros(dist.get_world_size(self._group), dtype=torch.int64)
+        dist.all_gather(list(sizes.split(1)), own.new_full((1,), len(own), dtype=torch.int64), group=self._group)
+        announced = require_sizes(sizes)
+        padded = pad(own, (0, max(announced) - len(own)))
+        if dist.get_rank(self._group) != 0:
+            dist.gather(padded, group_dst=0, group=self._group)
+            return []
+        gathered = [torch.empty_like(padded) for _ in announced]
+        dist.gather(padded, gathered, group_dst=0, group=self._group)
+        return [decode(each[:size]) for each, size in zip(gathered, announced, strict=True)]
 
     def broadcast(self, value: Any) -> Any:
-        objects = [value]
-        dist.broadcast_object_list(objects, group_src=0, group=self._group)
-        return objects[0]
+        is_first = dist.get_rank(self._group) == 0
+        own = encode(value if is_first else None).to(self._device)
+        size = own.new_full((1,), len(own), dtype=torch.int64)
+        dist.broadcast(size, group_src=0, group=self._group)
+        message = own if is_first else own.new_empty(require_sizes(size))
+        dist.broadcast(message, group_src=0, group=self._group)
+        return decode(message)
 
 
 class TorchComm(Comm):
@@ -51,6 +76,7 @@ class TorchComm(Comm):
 
     Attributes:
         control: the group for objects and checkpoints.
+        kept: what must exist as long as this connection, such as the store of a group's ranks.
 
     Example:
         >>> torch.distributed.init_process_group("nccl")
@@ -75,6 +101,7 @@ class TorchComm(Comm):
         self._on_close = on_close
         read_setting()  # raises an error now, not at the first graph
         self._is_closed = False
+        self.kept: Any = None
         self._graphs: weakref.WeakSet[Closeable] = weakref.WeakSet()
         # Earlier graphs use earlier ones.
         self._peer_memories: list[PeerMemory] = []
@@ -167,7 +194,7 @@ class TorchComm(Comm):
         """Whether the GPUs of all ranks may be able to write each other's memory."""
         if self.transport != "nccl":
             return False
-        places = self.gather_objects(place_of_gpu())
+        places = [None if place is None else Place(*place) for place in self.gather_objects(place_of_gpu())]
         if self.broadcast_object(self.rank == 0 and are_peers(places)):
             return True
         warn_if_wanted("ranks are on several hosts, or more than 16, or one does not use the memory of other GPUs")
@@ -180,7 +207,9 @@ class TorchComm(Comm):
     @functools.cached_property
     def background(self) -> Objects:
         ranks = dist.get_process_group_ranks(self._group)
-        return GroupObjects(dist.new_group(ranks, backend="gloo", use_local_synchronization=True))
+        with self.guard.waiting("connection"):
+            group = dist.new_group(ranks, backend="gloo", use_local_synchronization=True, timeout=NO_TIMEOUT)
+        return GroupObjects(group)
 
     def close_before(self, graph: Closeable) -> None:
         self._graphs.add(graph)

@@ -21,8 +21,10 @@ Message = dict[str, Any]
 
 # Longer lines are rejected.
 _LONGEST_LINE = 1 << 16
-# TCP keep-alive: a machine that vanishes is detected after some 30 s.
-_KEEPALIVE = {"TCP_KEEPIDLE": 15, "TCP_KEEPINTVL": 5, "TCP_KEEPCNT": 3}
+# TCP keep-alive: probes of a machine that has vanished.
+_PROBES = 5
+# Interval between attempts to join.
+_AGAIN_SECONDS = 0.1
 
 _of_this_process: weakref.WeakSet[Channel] = weakref.WeakSet()
 
@@ -41,12 +43,13 @@ class Channel:
 
     Args:
         connection: the channel takes ownership.
+        patience: seconds after which a machine that no longer answers counts as lost, and the connection as closed.
     """
 
     #: Description of the process at the other end.
     peer = ""
 
-    def __init__(self, connection: socket.socket) -> None:
+    def __init__(self, connection: socket.socket, patience: float = 30.0) -> None:
         self.socket = connection
         self._lock = threading.Lock()
         self._received = b""
@@ -54,7 +57,9 @@ class Channel:
         self._poll.register(connection, select.POLLIN)
         _of_this_process.add(self)
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-        for name, value in _KEEPALIVE.items():
+        interval = max(1, min(int(patience / (2 * _PROBES)), 3600))
+        keep_alive = {"TCP_KEEPIDLE": _PROBES * interval, "TCP_KEEPINTVL": interval, "TCP_KEEPCNT": _PROBES}
+        for name, value in keep_alive.items():
             if hasattr(socket, name):
                 connection.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
 
@@ -87,7 +92,10 @@ class Channel:
         *lines, self._received = (self._received + data).split(b"\n")
         if len(self._received) > _LONGEST_LINE:
             raise ValueError("a line without an end")
-        messages = [json.loads(line) for line in lines]
+        try:
+            messages = [json.loads(line) for line in lines]
+        except RecursionError as error:
+            raise ValueError("nested too deeply") from error
         if not all(isinstance(message, dict) for message in messages):
             raise ValueError("not a message")
         return messages
@@ -114,15 +122,19 @@ class Greeting:
         return self
 
     def check(self, message: Message) -> Message | None:
-        """The identity of the rank; None if it does not have the token."""
+        """The identity of the rank; None if it does not have the token, which it is told."""
         who, nonce = message.get("who"), str(message.get("nonce"))
-        if not isinstance(who, dict) or not isinstance(who.get("rank"), int):
+        is_rank = isinstance(who, dict) and type(who.get("rank")) is int
+        if not is_rank or not _are_equal(_proof(self._token, "rank", who, self._nonce, nonce), message.get("proof")):
+            self.channel.send(refused=True)
             return None
-        expected = _proof(self._token, "rank", who, self._nonce, nonce)
-        if not hmac.compare_digest(expected, str(message.get("proof"))):
-            return None
-        self.channel.send(proof=_proof(self._token, "hub", who, self._nonce, nonce), name=process_name())
+        self._nonce_of_rank = nonce
         return who
+
+    def accept(self, who: Message) -> None:
+        """Tells a rank that has been checked that it belongs to the job, and so does the hub."""
+        proof = _proof(self._token, "hub", who, self._nonce, self._nonce_of_rank)
+        self.channel.send(proof=proof, name=process_name())
 
 
 def join(address: tuple[str, int], token: bytes, who: Message, timeout: float) -> Channel:
@@ -138,19 +150,49 @@ def join(address: tuple[str, int], token: bytes, who: Message, timeout: float) -
         RuntimeError: there is no hub, or it does not have the token.
     """
     deadline = time.monotonic() + timeout
+    while True:
+        try:
+            channel = _greet(address, token, who, deadline, timeout)
+        except (OSError, ValueError, KeyError) as error:
+            raise RuntimeError(f"guard: no connection to rank 0 at {address[0]}:{address[1]} ({error})") from error
+        if channel is not None:
+            return channel
+        if time.monotonic() > deadline:
+            raise RuntimeError(
+                f"guard: no connection to rank 0 at {address[0]}:{address[1]} (it closes each connection)"
+            )
+        time.sleep(_AGAIN_SECONDS)  # it has dropped this connection among many others
+
+
+def _greet(address: tuple[str, int], token: bytes, who: Message, deadline: float, patience: float) -> Channel | None:
+    """A connection to the hub; None if it was closed before the hub knew whose it is.
+
+    Raises:
+        RuntimeError: the hub does not have the token.
+        OSError, ValueError, KeyError: there is no hub, or it refuses this process.
+    """
+    left = max(0.1, deadline - time.monotonic())
+    channel, is_joined = Channel(socket.create_connection(address, timeout=left), patience), False
     try:
-        channel = Channel(socket.create_connection(address, timeout=timeout))
         channel.socket.settimeout(None)
-        theirs, nonce = str(_next(channel, deadline)["nonce"]), secrets.token_hex(16)
+        first = _next(channel, deadline)
+        if first is None:
+            return None
+        theirs, nonce = str(first["nonce"]), secrets.token_hex(16)
         channel.send(who=who, nonce=nonce, proof=_proof(token, "rank", who, theirs, nonce))
         answer = _next(channel, deadline)
-        known = hmac.compare_digest(_proof(token, "hub", who, theirs, nonce), str(answer.get("proof")))
-    except (OSError, ValueError, KeyError) as error:
-        raise RuntimeError(f"guard: no connection to rank 0 at {address[0]}:{address[1]} ({error})") from error
-    if not known:
-        raise RuntimeError(f"guard: the process at {address[0]}:{address[1]} does not belong to this job")
-    channel.peer = str(answer.get("name"))
-    return channel
+        if answer is None:
+            return None
+        if answer.get("refused"):
+            raise ValueError("it does not accept this rank: is PGCCD_JOB_TOKEN the same on all?")
+        if not _are_equal(_proof(token, "hub", who, theirs, nonce), answer.get("proof")):
+            raise RuntimeError(f"guard: the process at {address[0]}:{address[1]} does not belong to this job")
+        channel.peer = str(answer.get("name"))
+        is_joined = True
+        return channel
+    finally:
+        if not is_joined:
+            channel.close()
 
 
 def process_name() -> str:
@@ -158,15 +200,20 @@ def process_name() -> str:
     return f"process {os.getpid()} on {socket.gethostname()}"
 
 
-def _next(channel: Channel, deadline: float) -> Message:
+def _next(channel: Channel, deadline: float) -> Message | None:
+    """The next message; None if the connection is closed."""
     while time.monotonic() < deadline:
         messages = channel.receive(deadline - time.monotonic())
         if messages is None:
-            raise ValueError("it has ended, or does not accept this rank: is PGCCD_JOB_TOKEN the same on all?")
+            return None
         if messages:
             return messages[0]
     raise ValueError("no answer")
 
 
-def _proof(token: bytes, side: str, who: Message, of_hub: str, of_rank: str) -> str:
+def _are_equal(proof: str, given: Any) -> bool:
+    return hmac.compare_digest(proof.encode(), str(given).encode(errors="replace"))
+
+
+def _proof(token: bytes, side: str, who: Any, of_hub: str, of_rank: str) -> str:
     return hmac.new(token, json.dumps([side, who, of_hub, of_rank]).encode(), "sha256").hexdigest()

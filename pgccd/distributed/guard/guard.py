@@ -6,19 +6,19 @@ import atexit
 import os
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TypeVar
 
 from pgccd.distributed.guard.channel import Channel
 from pgccd.distributed.guard.hub import Hub
+from pgccd.distributed.guard.turns import TurnClock
 
 _TICK_SECONDS = 1.0
 # Duration of a turn of the thread.
 _TURN_SECONDS = 0.2
-# Maximum time to wait for the hub's verdict.
-_VERDICT_SECONDS = 15.0
+# Maximum time to wait for the hub's verdict: two queries of its own, and the time between them.
+_VERDICT_SECONDS = 20.0
 # Time for a rank to end a failed exchange by itself before the process is killed.
 _GRACE_SECONDS = 10.0
 _EXIT_CODE = 70
@@ -54,7 +54,8 @@ class Guard:
     Args:
         channel: to the hub; None: errors are passed on unchanged.
         rank: of this process.
-        timeout: seconds after which a pending exchange means that a rank hangs.
+        timeout: seconds after which a pending exchange means that a rank hangs; those during which this process was
+            stopped do not count.
         hub: on rank 0.
 
     Example:
@@ -65,10 +66,13 @@ class Guard:
     def __init__(
         self, channel: Channel | None = None, rank: int = 0, timeout: float = 300.0, hub: Hub | None = None
     ) -> None:
-        self._channel, self._rank, self._timeout, self._hub = channel, rank, timeout, hub
+        self._channel, self._rank, self._timeout = channel, rank, timeout
+        #: On rank 0.
+        self.hub = hub
         self._lock = threading.Lock()
         self._exchanges, self._is_waiting, self._is_for_gpu = 0, False, False
-        self._progress = time.monotonic()
+        self._clock = TurnClock()
+        self._progress = 0.0  # of the clock
         #: Current activity of the rank, for messages; cheap to set.
         self.activity = "the start"
         #: Whether the communication library has recorded lost messages. Set for NCCL, where a GPU waits for such
@@ -77,19 +81,22 @@ class Guard:
         self._ends_hard = False
         self._closed = threading.Event()
         self._verdict: str | None = None
+        self._is_final = False  # whether the verdict cannot be withdrawn
+        self._has_failed = False  # whether an exchange has, so that this rank cannot go on
         # Set by a verdict, and by the hub's answer that there is none.
         self._answered = threading.Event()
         # Used only by the thread.
         self._ended_hub: str | None = None
         self._is_alone = False
-        self._late_at = -1  # number of an exchange
-        # Time without a message of the hub since it was asked; counted in turns of the thread, since the whole job may
-        # be suspended.
-        self._silent_turns: int | None = None
+        # Number of the exchange about which the hub was asked, and whether this rank was waiting in it.
+        self._late_at, self._late_in = -1, False
+        # Of the clock: when the hub was asked, and since when it has sent no message, None if it owes none.
         self._asked = 0.0
+        self._silent_since: float | None = None
         # An exchange longer than the time-out, and how often the hub has answered that no rank was behind in it.
         self._none_behind = -1, 0
         self._broken_since: float | None = None
+        self._told: set[str] = set()
         # Process id of torchrun's agent, because its ranks are not ended when it dies. Other launchers end theirs, and
         # a shell that started ranks in the background may exit.
         self._agent = os.getppid() if "TORCHELASTIC_RUN_ID" in os.environ else None
@@ -98,6 +105,11 @@ class Guard:
             self._thread.start()
             # Closes the guard at exit, if the caller does not.
             atexit.register(self._leave)
+
+    @property
+    def address(self) -> str:
+        """The address of this machine on the connection to the hub; empty without one."""
+        return "" if self._channel is None else str(self._channel.socket.getsockname()[0])
 
     @contextmanager
     def waiting(self, what: str, for_gpu: bool = False) -> Iterator[None]:
@@ -110,13 +122,15 @@ class Guard:
         """
         with self._lock:
             self._exchanges += 1
-            self._progress = time.monotonic()
+            self._progress = self._clock.now
             self._is_waiting, self._is_for_gpu = True, for_gpu
         try:
             yield
         except RuntimeError as error:
-            verdict = self._ask(time.monotonic() - self._progress > _LATE * self._timeout)
+            self._has_failed = True
+            verdict = self._ask(self._clock.now - self._progress > _LATE * self._timeout)
             if verdict is None:
+                self._has_failed = False
                 raise
             # NCCL's shutdown, and MPI's, wait for all ranks.
             self._ends_hard = self.is_broken is not None or "mpi4py.MPI" in sys.modules
@@ -140,8 +154,8 @@ class Guard:
         self._thread.join(_GRACE_SECONDS)
         self.is_broken = None  # releases the process group before Python exits
         self._channel.close()
-        if self._hub is not None:
-            self._hub.close(2.0 * _GRACE_SECONDS)  # other ranks may not have read the verdict yet
+        if self.hub is not None:
+            self.hub.close(2.0 * _GRACE_SECONDS)  # other ranks may not have read the verdict yet
 
     def end_hard(self) -> None:
         """Leaves the job; at exit, ends the process without waiting for its GPU, which waits for lost messages."""
@@ -167,8 +181,11 @@ class Guard:
         self._answered.clear()
         if self._verdict is None:
             if self._channel.send(about="error", is_late=is_late):
-                if not self._answered.wait(_VERDICT_SECONDS):
-                    self._blame_silent_hub()
+                begin = self._clock.now
+                while not self._answered.wait(_TURN_SECONDS):
+                    if self._clock.now - begin > _VERDICT_SECONDS:
+                        self._blame_silent_hub()
+                        break
             else:
                 self._answered.wait(_TICK_SECONDS)  # until the thread has detected it too
         return self._verdict or self._ended_hub
@@ -181,21 +198,38 @@ class Guard:
         """
         hopeless_since: float | None = None
         while not self._closed.is_set():
-            self._read_hub()
-            if self._verdict is None:
-                self._look_at_this_rank()
+            try:
+                self._read_hub()
+                now = self._clock.turn()
+                if self._verdict is None:
+                    self._look_at_this_rank()
+                else:
+                    self._look_whether_it_goes_on()
+            except Exception as error:  # of any kind: this thread goes on to answer the hub
+                self._tell_once(f"the guard of rank {self._rank} has failed ({type(error).__name__}: {error})")
+                self._closed.wait(_TURN_SECONDS)
                 continue
-            hopeless_since = hopeless_since or time.monotonic()
-            if time.monotonic() - hopeless_since > _GRACE_SECONDS and not self._closed.is_set():
-                self._give_up()
+            if self._verdict is None:
+                hopeless_since = None
+            elif hopeless_since is None:
+                hopeless_since = now
+            elif now - hopeless_since > _GRACE_SECONDS and not self._closed.is_set():
+                self._give_up(self._verdict)
+
+    def _tell_once(self, problem: str) -> None:
+        if problem not in self._told:
+            self._told.add(problem)
+            sys.stderr.write(f"pgccd: {problem}\n")
+            sys.stderr.flush()
 
     def _look_at_this_rank(self) -> None:
         """Queries the hub if an exchange takes too long or messages were lost."""
         assert self._channel is not None
+        now = self._clock.now
         with self._lock:
-            exchanges, still = self._exchanges, time.monotonic() - self._progress
+            exchanges, still = self._exchanges, now - self._progress
             is_waiting, is_for_gpu = self._is_waiting, self._is_for_gpu
-        is_late, since_asked = still > self._timeout, time.monotonic() - self._asked
+        is_late, since_asked = still > self._timeout, now - self._asked
         is_waiting_for_gpu = is_waiting and is_for_gpu
         if self._agent is not None and os.getppid() != self._agent:
             self._fail("has lost the process that launched it")
@@ -206,17 +240,32 @@ class Guard:
             # processes have been suspended.
             self._fail("lost messages of other ranks, although all are alive")
         elif is_late and (self._late_at != exchanges or (is_waiting_for_gpu and since_asked > self._timeout)):
-            self._late_at, self._asked = exchanges, time.monotonic()
-            self._silent_turns = self._silent_turns or 0
+            self._late_at, self._late_in, self._asked = exchanges, is_waiting, now
+            self._silent_since = now if self._silent_since is None else self._silent_since
             self._channel.send(about="error", is_late=True, exchange=exchanges)
-        elif self._silent_turns is not None and self._silent_turns * _TURN_SECONDS > _VERDICT_SECONDS:
+        elif self._silent_since is not None and now - self._silent_since > _VERDICT_SECONDS:
             self._blame_silent_hub()
         elif self.is_broken is not None and self.is_broken():
             if self._broken_since is None:
-                self._broken_since = time.monotonic()
+                self._broken_since = now
                 self._channel.send(about="error", is_late=False)
-            elif time.monotonic() - self._broken_since > _VERDICT_SECONDS:
+            elif now - self._broken_since > _VERDICT_SECONDS:
                 self._fail("lost messages of other ranks, although all are alive")
+
+    def _look_whether_it_goes_on(self) -> None:
+        """Withdraws a verdict about ranks that were silent or behind if the exchange that was late has completed."""
+        if self._is_final or self._has_failed or self._late_at < 0:
+            return
+        with self._lock:
+            goes_on = self._exchanges != self._late_at or (self._late_in and not self._is_waiting)
+        if goes_on:
+            assert self._channel is not None
+            self._channel.send(about="goes on")
+            self._withdraw()
+
+    def _withdraw(self) -> None:
+        self._verdict, self._late_at, self._silent_since = None, -1, None
+        self._answered.clear()
 
     def _fail(self, text: str) -> None:
         assert self._channel is not None
@@ -226,43 +275,50 @@ class Guard:
     def _blame_silent_hub(self) -> None:
         assert self._channel is not None
         if self._rank != 0:
-            self._decide(f"rank 0 ({self._channel.peer}) does not answer: stopped, or busy")
+            self._decide(f"rank 0 ({self._channel.peer}) does not answer: stopped, or busy", is_final=False)
 
     def _read_hub(self) -> None:
         """Handles messages of the hub, waiting for a fraction of a second."""
         assert self._channel is not None
         messages = None if self._is_alone else self._channel.receive(_TURN_SECONDS)
         if messages:
-            self._silent_turns = None
-        elif self._silent_turns is not None:
-            self._silent_turns += 1
+            self._silent_since = None
         if messages is None:
             if not self._is_alone and self._ended_hub is None and not self._closed.is_set():
-                self._decide(f"rank 0 ({self._channel.peer}) has died")
+                if self.hub is None:
+                    self._decide(f"rank 0 ({self._channel.peer}) has died")
+                else:  # in this process
+                    self._ended_hub = "the hub of the guard has failed"
             self._is_alone = True
             self._closed.wait(_TURN_SECONDS)
         for message in messages or []:
             match message.get("about"):
                 case "verdict":
-                    self._decide(str(message.get("text")))
+                    self._decide(str(message.get("text")), is_final=bool(message.get("is_final")))
+                case "withdrawn":
+                    if not self._is_final:
+                        self._withdraw()
                 case "no verdict":
                     if message.get("is_late"):
                         exchange, times = message.get("exchange", -1), self._none_behind[1]
                         self._none_behind = exchange, times + 1 if exchange == self._none_behind[0] else 1
                     self._answered.set()
+                case "hub failed":
+                    self._ended_hub = f"a message has not arrived, and {message.get('text')}"
                 case "closing":
-                    self._ended_hub = "rank 0 has ended early"
+                    self._ended_hub = self._ended_hub or "rank 0 has ended early"
                 case "question":
                     with self._lock:
                         exchanges = self._exchanges
                     here = {"exchanges": exchanges, "activity": self.activity}
                     self._channel.send(about="answer", number=message.get("number"), **here)
 
-    def _decide(self, verdict: str) -> None:
-        self._verdict = self._verdict or verdict
+    def _decide(self, verdict: str, is_final: bool = True) -> None:
+        if self._verdict is None:
+            self._verdict, self._is_final = verdict, is_final
         self._answered.set()
 
-    def _give_up(self) -> None:
-        sys.stderr.write(f"pgccd: rank {self._rank} gives up in {self.activity}: {self._verdict}\n")
+    def _give_up(self, verdict: str) -> None:
+        sys.stderr.write(f"pgccd: rank {self._rank} gives up in {self.activity}: {verdict}\n")
         sys.stderr.flush()
         os._exit(_EXIT_CODE)  # the only way to end a blocking call into a communication library

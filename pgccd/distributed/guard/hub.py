@@ -9,15 +9,20 @@ import socket
 import sys
 import threading
 import time
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 
 from pgccd.distributed.guard.channel import Channel, Greeting, Message
+from pgccd.distributed.guard.turns import TurnClock
 
 _TICK_SECONDS = 1.0
-# Time for a new connection to authenticate.
-_GREETING_SECONDS = 10.0
-# Time for a rank to answer, unless it is stopped or its interpreter is busy.
-_ANSWER_SECONDS = 5.0
+# Time for a new connection to authenticate, and how many may do so at a time besides one for each rank: the oldest is
+# dropped for a new one, and a rank that was dropped connects again.
+_GREETING_SECONDS, _MOST_GREETINGS = 10.0, 64
+# Connections accepted in one turn.
+_ACCEPTED = 32
+# Time for a rank to answer, unless it is stopped or its interpreter is busy; and from one query to the next.
+_ANSWER_SECONDS, _SECOND_LOOK_SECONDS = 5.0, 2.0
 # Open files that a process needs besides the connections.
 _OTHER_FILES = 512
 
@@ -33,13 +38,15 @@ class _Member:
 
 @dataclass
 class _Inquiry:
-    """A query of the progress of all ranks."""
+    """Queries of the progress of all ranks, until one shows no rank that may be at fault, or two show the same."""
 
-    number: int
     askers: dict[int, int]  #: ranks, and the number of the exchange that each asks about
     is_late: bool  #: whether an exchange took longer than the time-out
-    deadline: float
-    answers: dict[int, Message]
+    begin: float  #: of this query; of the turn clock
+    number: int = 0  #: of this query; 0: not yet sent
+    answers: dict[int, Message] = field(default_factory=dict)
+    #: Ranks that may be at fault by the query before, and the number of exchanges of each, None if it did not answer.
+    suspects: dict[int, int | None] = field(default_factory=dict)
 
 
 class Hub:
@@ -48,24 +55,31 @@ class Hub:
     Args:
         host: the address to listen on; empty: all of this machine's.
         token: of the job; processes without it are rejected.
-        size: number of ranks.
+        size: number of ranks. When all have joined, it listens no longer.
+        patience: seconds after which a machine that no longer answers counts as lost.
     """
 
-    def __init__(self, host: str, token: bytes, size: int) -> None:
-        self._token, self._size = token, size
+    def __init__(self, host: str, token: bytes, size: int, patience: float = 30.0) -> None:
+        self._token, self._size, self._patience = token, size, patience
         _allow_files(size + _OTHER_FILES)
-        self._listener = _listen(host, min(size, 4096))
+        self._listener = _listen(host, min(size + _MOST_GREETINGS, 4096))
+        self._listener.setblocking(False)
         self.port: int = self._listener.getsockname()[1]
         self._greetings: dict[Channel, tuple[Greeting, float]] = {}
         self._members: dict[int, _Member] = {}
         self._ranks: dict[Channel, int] = {}
         self._verdict: str | None = None
+        self._is_final = False  # whether the verdict cannot be withdrawn
         self._inquiry: _Inquiry | None = None
-        self._inquiries = 0
+        self._queries = 0
+        self._clock = TurnClock()
+        #: Set once all ranks have joined.
+        self.is_complete = threading.Event()
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._listener, selectors.EVENT_READ)
         self._closing = threading.Event()
-        self._thread = threading.Thread(target=self._serve, name="pgccd-hub", daemon=True)
+        self._outer_address: str | None = None
+        self._thread = threading.Thread(target=self._run, name="pgccd-hub", daemon=True)
         self._thread.start()
 
     def close(self, seconds: float) -> None:
@@ -74,20 +88,40 @@ class Hub:
         self._closing.set()
         self._thread.join(seconds + 2.0 * _TICK_SECONDS)
 
-    def _serve(self) -> None:
+    @property
+    def outer_address(self) -> str | None:
+        """The address of this machine at which ranks of other machines have reached the hub; None if there are none."""
+        return self._outer_address
+
+    def missing(self) -> list[int]:
+        """Ranks that have not joined."""
+        return [rank for rank in range(self._size) if rank not in self._members]
+
+    def _run(self) -> None:
+        """The thread."""
         with contextlib.ExitStack() as stack:
             stack.callback(self._close_all)
-            while not self._closing.is_set() or (
-                self._verdict is not None and self._ranks and time.monotonic() < self._deadline
-            ):
-                for key, _ in self._selector.select(0.1 if self._closing.is_set() else 0.2 * _TICK_SECONDS):
-                    if key.fileobj is self._listener:
-                        self._accept()
-                    else:
-                        self._read(key.fileobj)  # type: ignore[arg-type]
-                self._drop_strangers()
-                if self._inquiry is not None:
-                    self._decide(self._inquiry)
+            try:
+                self._serve()
+            except Exception as error:  # of any kind: no rank is at fault
+                text = f"the hub of the guard, on rank 0, has failed ({type(error).__name__}: {error})"
+                for channel in self._ranks:
+                    channel.send(about="hub failed", text=text)
+                _tell(f"{text}: no rank at fault will be found")
+
+    def _serve(self) -> None:
+        while not self._closing.is_set() or (
+            self._verdict is not None and self._ranks and time.monotonic() < self._deadline
+        ):
+            for key, _ in self._selector.select(0.1 if self._closing.is_set() else 0.2 * _TICK_SECONDS):
+                if key.fileobj is self._listener:
+                    self._accept()
+                else:
+                    self._read(key.fileobj)  # type: ignore[arg-type]
+            self._clock.turn()
+            self._drop_strangers(lambda since: self._clock.now - since > _GREETING_SECONDS)
+            if self._inquiry is not None:
+                self._look(self._inquiry)
 
     def _close_all(self) -> None:
         for channel in self._ranks:
@@ -98,14 +132,25 @@ class Hub:
         self._listener.close()
 
     def _accept(self) -> None:
-        with contextlib.suppress(OSError):
-            channel = Channel(self._listener.accept()[0])
-            self._greetings[channel] = Greeting(channel, self._token).start(), time.monotonic() + _GREETING_SECONDS
+        for _ in range(_ACCEPTED):
+            try:
+                channel = Channel(self._listener.accept()[0], self._patience)
+            except BlockingIOError:
+                return
+            except OSError:  # no file may be opened, for example
+                self._drop_oldest()
+                return
+            if len(self._greetings) >= _MOST_GREETINGS + self._size:
+                self._drop_oldest()
+            self._greetings[channel] = Greeting(channel, self._token).start(), self._clock.now
             self._selector.register(channel, selectors.EVENT_READ)
 
-    def _drop_strangers(self) -> None:
-        now = time.monotonic()
-        for channel in [channel for channel, (_, deadline) in self._greetings.items() if now > deadline]:
+    def _drop_oldest(self) -> None:
+        if self._greetings:
+            self._forget(next(iter(self._greetings)))
+
+    def _drop_strangers(self, is_one: Callable[[float], bool]) -> None:
+        for channel in [channel for channel, (_, since) in self._greetings.items() if is_one(since)]:
             self._forget(channel)
 
     def _forget(self, channel: Channel) -> None:
@@ -114,13 +159,18 @@ class Hub:
         channel.close()
 
     def _read(self, channel: Channel) -> None:
+        if channel in self._greetings:
+            try:
+                self._greet(channel)
+            except Exception:  # of any kind: whoever sent this is not believed
+                self._forget(channel)
+            return
+        if channel not in self._ranks:  # dropped in this turn
+            return
         try:
             messages = channel.receive(0.0)
-        except (ValueError, RecursionError):  # not sent by a rank
+        except ValueError:  # not sent by a rank
             messages = None
-        if channel in self._greetings:
-            self._greet(channel, messages)
-            return
         rank = self._ranks[channel]
         for message in messages or []:
             self._handle(rank, message)
@@ -128,18 +178,34 @@ class Hub:
             del self._ranks[channel]
             self._forget(channel)
             if not self._members[rank].finished:
-                self._blame(f"{self._members[rank].name} has died")
+                self._blame(f"{self._members[rank].name} has died", is_final=True)
 
-    def _greet(self, channel: Channel, messages: list[Message] | None) -> None:
+    def _greet(self, channel: Channel) -> None:
+        messages = channel.receive(0.0)
         if messages == []:
             return
-        who = self._greetings[channel][0].check(messages[0]) if messages else None
-        if who is None or who["rank"] in self._members:
+        greeting = self._greetings[channel][0]
+        who = greeting.check(messages[0]) if messages else None
+        if who is None or who["rank"] in self._members or not 0 <= who["rank"] < self._size:
+            if who is not None:
+                channel.send(refused=True)
             self._forget(channel)
             return
         del self._greetings[channel]
         self._ranks[channel] = who["rank"]
         self._members[who["rank"]] = _Member(channel, f"rank {who['rank']} ({who.get('name')})")
+        self._note_address(channel)
+        greeting.accept(who)
+        if len(self._members) == self._size:
+            self._selector.unregister(self._listener)
+            self._listener.close()
+            self._drop_strangers(lambda _: True)
+            self.is_complete.set()
+
+    def _note_address(self, channel: Channel) -> None:
+        here, there = (end()[0] for end in (channel.socket.getsockname, channel.socket.getpeername))
+        if here != there:
+            self._outer_address = here
 
     def _handle(self, rank: int, message: Message) -> None:
         member = self._members[rank]
@@ -147,60 +213,88 @@ class Hub:
             case "finished":
                 member.finished = True
             case "failure":
-                self._blame(f"{member.name} {message.get('text')}")
+                self._blame(f"{member.name} {message.get('text')}", is_final=True)
             case "error":
                 self._ask_all(rank, bool(message.get("is_late")), message.get("exchange", -1))
+            case "goes on":
+                self._withdraw(member.name)
             case "answer" if self._inquiry is not None and message.get("number") == self._inquiry.number:
                 self._inquiry.answers[rank] = message
 
-    def _blame(self, verdict: str) -> None:
+    def _blame(self, verdict: str, is_final: bool) -> None:
         """The first verdict holds: later failures follow from it."""
         if self._verdict is not None:
             return
-        self._verdict, self._inquiry = verdict, None
+        self._verdict, self._is_final, self._inquiry = verdict, is_final, None
         # Printed here, because launchers end all ranks as soon as one has died.
-        sys.stderr.write(f"pgccd: {verdict}\n")
-        sys.stderr.flush()
+        _tell(verdict)
         for member in self._members.values():
-            member.channel.send(about="verdict", text=verdict)
+            member.channel.send(about="verdict", text=verdict, is_final=is_final)
+
+    def _withdraw(self, name: str) -> None:
+        """Ranks that were late go on, after the job was suspended for example."""
+        if self._verdict is None or self._is_final:
+            return
+        _tell(f"{name} goes on, and so does the job")
+        self._verdict = None
+        for member in self._members.values():
+            member.channel.send(about="withdrawn")
 
     def _ask_all(self, asker: int, is_late: bool, exchange: int) -> None:
         if self._verdict is not None:
-            self._members[asker].channel.send(about="verdict", text=self._verdict)
+            self._members[asker].channel.send(about="verdict", text=self._verdict, is_final=self._is_final)
         elif self._inquiry is not None:
             self._inquiry.askers[asker] = exchange
             self._inquiry.is_late |= is_late
         else:
-            self._inquiries += 1
-            deadline = time.monotonic() + _ANSWER_SECONDS
-            self._inquiry = _Inquiry(self._inquiries, {asker: exchange}, is_late, deadline, {})
-            for member in self._members.values():
-                member.channel.send(about="question", number=self._inquiries)
+            self._inquiry = _Inquiry({asker: exchange}, is_late, self._clock.now)
 
-    def _decide(self, inquiry: _Inquiry) -> None:
-        """Decides a query once all ranks have answered, or its time is up: at fault are ranks that finished early,
-        that do not answer, or, if an exchange timed out, that have not reached it.
+    def _look(self, inquiry: _Inquiry) -> None:
+        """Decides a query once all ranks have answered, or its time is up. At fault are ranks that finished early; and
+        ranks that, by two queries, do not answer, or have not reached an exchange that timed out and made no progress.
         """
+        if not inquiry.number:
+            if self._clock.now >= inquiry.begin:
+                self._queries += 1
+                inquiry.number = self._queries
+                for member in self._members.values():
+                    member.channel.send(about="question", number=inquiry.number)
+            return
         expected = {rank for rank, member in self._members.items() if not member.finished}
         silent = sorted(expected - set(inquiry.answers))
-        if silent and time.monotonic() < inquiry.deadline:
+        if silent and self._clock.now - inquiry.begin < _ANSWER_SECONDS:
             return
-        self._inquiry = None
-        reached = max(inquiry.answers.get(asker, {}).get("exchanges", 0) for asker in inquiry.askers)
+        made = {rank: answer.get("exchanges", 0) for rank, answer in inquiry.answers.items()}
+        reached = max(made.get(asker, 0) for asker in inquiry.askers)
+        behind = [rank for rank in sorted(made) if inquiry.is_late and made[rank] < reached]
         finished = [f"rank {rank} has ended early" for rank, member in self._members.items() if member.finished]
-        behind = [
-            f"{self._members[rank].name} hangs in {answer.get('activity')}"
-            for rank, answer in sorted(inquiry.answers.items())
-            if inquiry.is_late and answer.get("exchanges", 0) < reached
-        ]
-        stopped = [f"{self._members[rank].name} does not answer: stopped, or busy" for rank in silent]
-        for blamed in (finished, behind + stopped):
-            if blamed:
-                more = f" and {len(blamed) - 4} more" if len(blamed) > 4 else ""
-                self._blame(", ".join(blamed[:4]) + more)
-                return
-        for asker, exchange in inquiry.askers.items():
-            self._members[asker].channel.send(about="no verdict", is_late=inquiry.is_late, exchange=exchange)
+        suspects = {rank: made.get(rank) for rank in [*behind, *silent]}
+        blamed = [rank for rank in suspects if inquiry.suspects.get(rank, -1) == suspects[rank]]
+        if finished:
+            self._blame(_list(finished), is_final=True)
+        elif blamed:
+            why = {rank: f"hangs in {inquiry.answers[rank].get('activity')}" for rank in behind}
+            stopped = "does not answer: stopped, or busy"
+            self._blame(
+                _list([f"{self._members[rank].name} {why.get(rank, stopped)}" for rank in blamed]), is_final=False
+            )
+        elif suspects:
+            again = self._clock.now + _SECOND_LOOK_SECONDS
+            self._inquiry = _Inquiry(inquiry.askers, inquiry.is_late, again, suspects=suspects)
+        else:
+            self._inquiry = None
+            for asker, exchange in inquiry.askers.items():
+                self._members[asker].channel.send(about="no verdict", is_late=inquiry.is_late, exchange=exchange)
+
+
+def _list(texts: list[str]) -> str:
+    """The first of several texts."""
+    return ", ".join(texts[:4]) + (f" and {len(texts) - 4} more" if len(texts) > 4 else "")
+
+
+def _tell(text: str) -> None:
+    sys.stderr.write(f"pgccd: {text}\n")
+    sys.stderr.flush()
 
 
 def _listen(host: str, backlog: int) -> socket.socket:

@@ -9,17 +9,15 @@ from __future__ import annotations
 import functools
 import hashlib
 import json
-import platform
 import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar
 
-import torch
 import torch.distributed as dist
 
-import pgccd
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.guard import of_all_ranks
+from pgccd.distributed.launch.code import code_facts
 from pgccd.distributed.launch.placement import Placement
 
 T = TypeVar("T")
@@ -81,7 +79,7 @@ def _compare_all(store: dist.Store, size: int, timeout: float) -> str:
             missing = [rank for rank, key in zip(ranks, keys, strict=True) if not store.check([key])]
             raise RuntimeError(f"ranks {missing[:8]} of {size} did not connect within {timeout:g} s")
         for rank, text in zip(ranks, store.multi_get(keys), strict=True):
-            facts = json.loads(text)
+            facts = _facts_of(text)
             if PROBLEM in facts:
                 return f"rank {rank}: {facts[PROBLEM]}"
             first = facts if first is None else first
@@ -89,6 +87,14 @@ def _compare_all(store: dist.Store, size: int, timeout: float) -> str:
             if difference is not None:
                 return difference
     return ""
+
+
+def _facts_of(text: bytes) -> dict[str, str]:
+    try:
+        facts = json.loads(text)
+        return {str(name): str(value) for name, value in facts.items()}
+    except (ValueError, RecursionError, AttributeError):  # anybody may write to a store
+        return {PROBLEM: "its settings in the store have been overwritten"}
 
 
 def _wait_until(is_so: Callable[[], bool], seconds: float) -> bool:
@@ -122,12 +128,14 @@ def together(comm: Comm, action: Callable[[], T]) -> T:
 
 
 def on_first(comm: Comm, action: Callable[[], T]) -> T:
-    """Runs an action on rank 0 and returns its (picklable) result on all ranks; if it fails, it fails on all."""
+    """Runs an action on rank 0 and returns its result, as JSON can represent it, on all ranks; if it fails, it fails on
+    all.
+    """
     return comm.broadcast_object(together(comm, lambda: action() if comm.rank == 0 else None))
 
 
 def require_agreement(comm: Comm, facts: Mapping[str, Any]) -> None:
-    """Compares the settings of all ranks, and the versions of pgccd and torch.
+    """Compares the settings of all ranks, and the code that they run (`code_facts`).
 
     Args:
         comm: between the ranks.
@@ -139,8 +147,7 @@ def require_agreement(comm: Comm, facts: Mapping[str, Any]) -> None:
     Example:
         >>> require_agreement(comm, {"--robots": options.robots, "meshes": digest})
     """
-    mine = {"pgccd": pgccd.__version__, "torch": torch.__version__, "machine": platform.machine()}
-    mine |= {name: repr(value) for name, value in facts.items()}
+    mine = code_facts() | {name: repr(value) for name, value in facts.items()}
     short = {name: text if len(text) <= 80 else _digest(text) for name, text in mine.items()}
     of_ranks = comm.gather_objects(short)
     difference = comm.broadcast_object(_difference(of_ranks, range(len(of_ranks))))

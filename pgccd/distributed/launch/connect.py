@@ -5,8 +5,7 @@ from __future__ import annotations
 import os
 import socket
 from collections.abc import Mapping
-from datetime import timedelta
-from typing import Literal, NoReturn, get_args
+from typing import Any, Literal, NoReturn, get_args
 
 import torch
 import torch.distributed as dist
@@ -14,10 +13,13 @@ import torch.distributed as dist
 from pgccd.distributed.comm import nccl
 from pgccd.distributed.comm.interface import Alone, Comm
 from pgccd.distributed.comm.peer_access import read_setting
-from pgccd.distributed.comm.torch_comm import TorchComm
+from pgccd.distributed.comm.torch_comm import NO_TIMEOUT, TorchComm
 from pgccd.distributed.guard import Guard, Hub
 from pgccd.distributed.guard.channel import join, process_name
 from pgccd.distributed.launch.agreement import PROBLEM, agree_by_store
+from pgccd.distributed.launch.code import code_facts
+from pgccd.distributed.launch.existing import of_group, require_usable
+from pgccd.distributed.launch.interfaces import interface_of, is_loopback
 from pgccd.distributed.launch.placement import Placement, find_placement
 from pgccd.distributed.launch.rendezvous import LOOPBACK, Meeting, meet
 from pgccd.distributed.launch.token import VARIABLE as TOKEN
@@ -26,6 +28,10 @@ from pgccd.distributed.launch.token import share_token
 Transport = Literal["auto", "nccl", "gloo", "torch-mpi", "mpi4py"]
 TRANSPORTS: tuple[str, ...] = get_args(Transport)
 DEFAULT_TIMEOUT = 300.0
+# Time for the hub to handle what ranks have sent before they agreed.
+_JOINED_SECONDS = 10.0
+# By which Gloo and NCCL choose an interface.
+_INTERFACES = ("GLOO_SOCKET_IFNAME", "NCCL_SOCKET_IFNAME")
 
 
 def choose_device(device: str | torch.device, placement: Placement | None = None) -> torch.device:
@@ -47,8 +53,10 @@ def connect(
     transport: Transport = "auto",
     timeout: float = DEFAULT_TIMEOUT,
     settings: Mapping[str, str] | None = None,
+    group: dist.ProcessGroup | None = None,
 ) -> Comm:
-    """Connects all processes that were launched together; a single rank without a launcher.
+    """Connects all processes that were launched together, or those of a process group of torch.distributed; a single
+    rank without a launcher.
 
     Args:
         device: of the data.
@@ -56,10 +64,13 @@ def connect(
             NCCL if every rank has a GPU of its own, else Gloo.
         timeout: seconds after which a pending exchange ends the job.
         settings: of the program, by name; compared between ranks first, together with the arguments above.
+        group: a process group whose ranks all call this; it is not destroyed by `Comm.close`. Default: the default
+            process group if it has been initialised, else one is made. Its own time-out ends exchanges too: give it a
+            long one, so that the guard names the rank at fault.
 
     Raises:
         DisagreementError: ranks have different settings; on all of them.
-        ValueError: naming the argument or environment variable.
+        TypeError, ValueError: naming the argument or environment variable.
         ImportError: mpi4py is needed and not installed.
         RuntimeError: other ranks are missing after the time-out.
 
@@ -71,6 +82,8 @@ def connect(
         raise ValueError(f"transport: expected one of {list(TRANSPORTS)}, got {transport!r}")
     if not 0.0 < timeout < 1e9:
         raise ValueError(f"timeout: expected seconds > 0, got {timeout}")
+    if group is not None or dist.is_initialized():
+        return _connect_group(group or dist.group.WORLD, device, transport, timeout, settings or {})
     placement = find_placement()
     if placement.size == 1:
         return Alone()
@@ -80,26 +93,28 @@ def connect(
         tell_problem(f"device: {error}", timeout)
     try:
         read_setting()
+        _require_interfaces()
+        if transport == "nccl" and not (dist.is_nccl_available() and torch.cuda.is_available()):
+            raise ValueError("transport: 'nccl' needs a GPU and a torch that was built with NCCL")
     except ValueError as error:
         tell_problem(str(error), timeout)
     meeting = meet(placement, timeout)
     store = meeting.store
-    own = {"device": device.type, "transport": transport, "timeout": f"{timeout:g}"}
+    own = {**code_facts(), "device": device.type, "transport": transport, "timeout": f"{timeout:g}"}
     own[TOKEN] = "a value" if os.environ.get(TOKEN) else "none"  # not compared: it would pass through the store
     agree_by_store(store, placement, {**own, **(settings or {})}, timeout)
     if device.type == "cuda" and torch.cuda.is_available():
         torch.cuda.set_device(device)
-    if meeting.is_local:
-        _keep_to_this_machine()
     guard = _start_guard_on_all(meeting, placement, timeout)
     backend = _backend(transport, device, placement, store)
-    if backend == "nccl":
-        guard.is_broken = nccl.make_default_group(store, placement.rank, placement.size, timeout)
-    else:
-        dist.init_process_group(
-            backend, store=store, rank=placement.rank, world_size=placement.size, timeout=_delta(timeout)
-        )
-    control = dist.group.WORLD if backend == "gloo" else dist.new_group(backend="gloo", timeout=_delta(timeout))
+    with guard.waiting("connection"):
+        if backend == "nccl":
+            guard.is_broken = nccl.make_default_group(store, placement.rank, placement.size, timeout)
+        else:
+            dist.init_process_group(
+                backend, store=store, rank=placement.rank, world_size=placement.size, timeout=NO_TIMEOUT
+            )
+        control = dist.group.WORLD if backend == "gloo" else dist.new_group(backend="gloo", timeout=NO_TIMEOUT)
     comm: Comm
     if transport == "mpi4py":
         from pgccd.distributed.comm.mpi_comm import MpiComm
@@ -108,6 +123,31 @@ def connect(
     else:
         comm = TorchComm(dist.group.WORLD, control, guard, dist.destroy_process_group)
     return comm
+
+
+def _connect_group(
+    group: Any, device: str | torch.device, transport: Transport, timeout: float, settings: Mapping[str, str]
+) -> Comm:
+    backend = require_usable(group, transport)
+    if dist.get_world_size(group) == 1:
+        return Alone()
+    read_setting()
+    facts = {"device": torch.device(device).type, "transport": transport, "timeout": f"{timeout:g}", **settings}
+    facts[TOKEN] = "a value" if os.environ.get(TOKEN) else "none"
+    comm, meeting, placement = of_group(group, backend, timeout, facts)
+    comm.guard = _start_guard_on_all(meeting, placement, timeout)
+    comm.kept = meeting.store  # other ranks may still read it
+    return comm
+
+
+def _require_interfaces() -> None:
+    """Raises ValueError if GLOO_SOCKET_IFNAME names an interface that this machine does not have."""
+    there = [name for _, name in socket.if_nameindex()]
+    for name in filter(None, os.environ.get("GLOO_SOCKET_IFNAME", "").split(",")):
+        if name not in there:
+            raise ValueError(
+                f"GLOO_SOCKET_IFNAME: {socket.gethostname()} has no interface {name!r}, but {', '.join(there)}"
+            )
 
 
 def tell_problem(problem: str, timeout: float = DEFAULT_TIMEOUT) -> NoReturn:
@@ -139,29 +179,59 @@ def _start_guard_on_all(meeting: Meeting, placement: Placement, timeout: float) 
             guard.close()
         raise
     assert guard is not None
+    _require_all(guard, placement)
+    _use_interface(guard, meeting, placement)
     return guard
 
 
 def _start_guard(meeting: Meeting, placement: Placement, timeout: float) -> Guard:
     token = share_token(meeting.store, placement, timeout)
-    host, hub = LOOPBACK if meeting.is_local else meeting.host, None
+    host, hub = LOOPBACK if meeting.is_local or placement.rank == 0 else meeting.host, None
     if placement.rank == 0:
-        hub = Hub(LOOPBACK if meeting.is_local else "", token, placement.size)
+        hub = Hub(LOOPBACK if meeting.is_local else "", token, placement.size, timeout)
         meeting.store.set("guard/port", str(hub.port))
     port = int(meeting.store.get("guard/port"))
     who = {"rank": placement.rank, "name": process_name()}
     return Guard(join((host, port), token, who, timeout), placement.rank, timeout, hub)
 
 
+def _require_all(guard: Guard, placement: Placement) -> None:
+    """Rank 0 goes on only once all ranks have proved to the hub that they belong to the job.
+
+    Raises:
+        RuntimeError: a process without the token is in the place of a rank.
+    """
+    if guard.hub is not None and not guard.hub.is_complete.wait(_JOINED_SECONDS):
+        missing = guard.hub.missing()
+        raise RuntimeError(
+            f"guard: ranks {missing[:8]} of {placement.size} have not proved that they belong to the job"
+        )
+
+
+def _use_interface(guard: Guard, meeting: Meeting, placement: Placement) -> None:
+    """Makes Gloo and NCCL use the interface of the guard's connection, unless another one is configured. By themselves
+    they look up the machine's name, which may be unknown, or be that of the loopback interface (127.0.1.1 on Debian).
+    """
+    if meeting.is_local:
+        _keep_to_this_machine()
+        return
+    if guard.hub is not None:  # all ranks have joined
+        meeting.store.set("guard/address", guard.hub.outer_address or "")
+    address = guard.address
+    # Ranks on the machine of rank 0 use the interface by which the others reach it.
+    if placement.rank == 0 or is_loopback(address):
+        address = meeting.store.get("guard/address").decode()
+    interface = interface_of(address) if address else None
+    if interface is not None:
+        for name in _INTERFACES:
+            os.environ.setdefault(name, interface)
+
+
 def _keep_to_this_machine() -> None:
     """Makes Gloo and NCCL listen on the loopback interface only, unless another one is configured."""
     if any(name == "lo" for _, name in socket.if_nameindex()):
-        os.environ.setdefault("GLOO_SOCKET_IFNAME", "lo")
-        os.environ.setdefault("NCCL_SOCKET_IFNAME", "lo")
-
-
-def _delta(seconds: float) -> timedelta:
-    return timedelta(seconds=seconds)
+        for name in _INTERFACES:
+            os.environ.setdefault(name, "lo")
 
 
 def _backend(transport: Transport, device: torch.device, placement: Placement, store: dist.Store) -> str:

@@ -6,25 +6,35 @@ and reuses the keys of a start before a restart.
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import socket
+import sys
 import threading
 import time
 import uuid
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import timedelta
+from pathlib import Path
 from queue import Empty, Queue
 from typing import Any
 
 import torch.distributed as dist
 
+from pgccd.distributed.comm.mpi_comm import MpiObjects
+from pgccd.distributed.launch.interfaces import addresses, is_loopback, outer_addresses, plain
 from pgccd.distributed.launch.placement import Placement
+from pgccd.distributed.launch.private_files import folders, read_private, refresh, write_private
 
 LOOPBACK = "127.0.0.1"
 _POLL_SECONDS = 0.01
 # Time after the time-out for torch to report it.
 _LATER_SECONDS = 2.0
+# Time for a connection, for a store to answer on it, and until the user is told what this rank waits for.
+_REACH_SECONDS, _STORE_SECONDS, _TOLD_AFTER = 5.0, 25.0, 10.0
 
 
 @dataclass(frozen=True)
@@ -47,22 +57,12 @@ def meet(placement: Placement, timeout: float) -> Meeting:
     if placement.launcher == "torchrun":
         run = os.environ.get("TORCHELASTIC_RUN_ID", "run")
         host, port = _variable("MASTER_ADDR"), _port(_variable("MASTER_PORT"))
-        common = _connect_store(host, port, placement, timeout, keeps=not agent_keeps_store())
+        common = connect_store(host, port, placement, timeout, keeps=not agent_keeps_store())
         store = agree_on_start(dist.PrefixStore(f"pgccd/{run}", common), placement, timeout)
         return Meeting(store, host, is_loopback(host) or placement.is_one_machine)
     if placement.launcher == "srun":
-        alone = LOOPBACK if placement.is_one_machine else first_host(_variable("SLURM_STEP_NODELIST"))
-        host = os.environ.get("MASTER_ADDR") or alone
-        # The same on all ranks, and different for other jobs and steps.
-        number = 31 * _number("SLURM_JOB_ID") + _number("SLURM_STEP_ID")
-        port = _port(os.environ.get("MASTER_PORT", str(20000 + number % 20000)))
-        return Meeting(_connect_store(host, port, placement, timeout, keeps=True), host, is_loopback(host))
+        return _meet_by_srun(placement, timeout)
     return _meet_by_mpi(placement, timeout)
-
-
-def is_loopback(host: str) -> bool:
-    """Whether the address is reachable from this machine only."""
-    return host in ("localhost", "::1") or host.startswith("127.")
 
 
 def agent_keeps_store() -> bool:
@@ -106,6 +106,86 @@ def _welcome(store: dist.Store, size: int, start: str, timeout: float) -> None:
         time.sleep(_POLL_SECONDS)
 
 
+def _meet_by_srun(placement: Placement, timeout: float) -> Meeting:
+    """At MASTER_PORT or a port that Slurm has reserved for the step; else rank 0 takes any free port, and tells it in a
+    private file.
+    """
+    name = f"step-{os.environ.get('SLURM_CLUSTER_NAME', 'slurm')}-{_number('SLURM_JOB_ID')}.{_number('SLURM_STEP_ID')}"
+    host = os.environ.get("MASTER_ADDR") or (LOOPBACK if placement.is_one_machine else None)
+    given = os.environ.get("MASTER_PORT") or os.environ.get("SLURM_STEP_RESV_PORTS", "").partition("-")[0]
+    if given:
+        host = host or first_host(_variable("SLURM_STEP_NODELIST"))
+        return Meeting(connect_store(host, _port(given), placement, timeout, keeps=True), host, is_loopback(host))
+    file = _AddressFile(re.sub(r"[^\w.-]", "_", name))
+    if placement.rank != 0:
+        host, port = file.wait(timeout)
+        store: dist.Store = connect_store(host, port, placement, timeout, keeps=True)
+        return Meeting(agree_on_start(store, placement, timeout), host, is_loopback(host))
+    hosts = [host] if host else [first_host(_variable("SLURM_STEP_NODELIST")), *outer_addresses()]
+    kept = connect_store(hosts[0], 0, placement, timeout, keeps=True)
+    with file.told(hosts, kept.port):
+        store = agree_on_start(kept, placement, timeout)
+    return Meeting(store, hosts[0], is_loopback(hosts[0]))
+
+
+class _AddressFile:
+    """A private file with rank 0's address, in a folder that all machines share.
+
+    Args:
+        name: the same on all ranks; of no other step that runs now.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    @contextmanager
+    def told(self, hosts: Sequence[str], port: int) -> Iterator[None]:
+        """Rank 0: a context in which the file exists.
+
+        Raises:
+            RuntimeError: it cannot be written.
+        """
+        path = write_private(json.dumps([list(hosts), port]).encode(), self._name)
+        if path is None:
+            raise RuntimeError(f"MASTER_PORT: not set, and rank 0 cannot tell its port in {folders()[0]}")
+        try:
+            yield
+        finally:
+            path.unlink(missing_ok=True)
+
+    def wait(self, timeout: float) -> tuple[str, int]:
+        """Other ranks: the first of its addresses that can be reached. The file may be one that an earlier start of the
+        step has left: then nothing answers, and it is read again.
+
+        Raises:
+            RuntimeError: after `timeout` seconds.
+        """
+        deadline, reason = time.monotonic() + timeout, "there is no such file"
+        while time.monotonic() < deadline:
+            for folder in folders():
+                refresh(folder)
+                hosts, port = self._content(folder)
+                for host in hosts:
+                    try:
+                        socket.create_connection((host, port), timeout=_REACH_SECONDS).close()
+                        return host, port
+                    except OSError as error:
+                        reason = f"{host}, port {port}: {error.strerror or error}"
+            time.sleep(10 * _POLL_SECONDS)
+        where = f"{folders()[0] / self._name} on {socket.gethostname()}"
+        raise RuntimeError(
+            f"MASTER_PORT: not set, and {where} does not lead to rank 0 within {timeout:g} s ({reason}): set "
+            "MASTER_PORT (and MASTER_ADDR) to a free port of rank 0's machine if the machines share no home folder"
+        )
+
+    def _content(self, folder: Path) -> tuple[list[str], int]:
+        try:
+            hosts, port = json.loads(read_private(folder / self._name))
+            return [str(host) for host in hosts], int(port)
+        except (ValueError, TypeError, RecursionError):  # it is not there, or is none
+            return [], 0
+
+
 def _meet_by_mpi(placement: Placement, timeout: float) -> Meeting:
     try:
         from mpi4py import MPI
@@ -117,35 +197,84 @@ def _meet_by_mpi(placement: Placement, timeout: float) -> Meeting:
             f"mpi4py: its library sees {world.Get_size()} ranks, {placement.launcher} started {placement.size}: "
             "they belong to different MPIs"
         )
-    hosts = world.allgather(socket.gethostname())
-    host = LOOPBACK if len(set(hosts)) == 1 else os.environ.get("MASTER_ADDR", hosts[0])
-    store = None
+    objects = MpiObjects(world)
+    names = objects.broadcast(objects.gather(socket.gethostname()))
+    return meet_at_first(objects.broadcast, placement, len(set(names)) == 1, timeout, os.environ.get("MASTER_ADDR"))
+
+
+def meet_at_first(
+    broadcast: Callable[[Any], Any],
+    placement: Placement,
+    is_one_machine: bool,
+    timeout: float,
+    address: str | None = None,
+) -> Meeting:
+    """At a free port of rank 0, which tells it and the addresses of its machine, or the one given, by a broadcast.
+
+    Raises:
+        RuntimeError: rank 0 cannot be reached, naming MASTER_ADDR.
+    """
+    hosts = [address] if address else [socket.gethostname(), *outer_addresses()]
+    hosts = [LOOPBACK] if is_one_machine else hosts
+    store, where = None, None
     if placement.rank == 0:
-        store = _connect_store(host, 0, placement, timeout, keeps=True)
-    port = world.bcast(store.port if store is not None else None)
-    return Meeting(store or _connect_store(host, port, placement, timeout, keeps=True), host, is_loopback(host))
+        store = connect_store(hosts[-1], 0, placement, timeout, keeps=True)
+        where = [hosts, store.port]
+    hosts, port = broadcast(where)
+    if store is not None:
+        return Meeting(store, hosts[0], is_one_machine)
+    for host in hosts:
+        with suppress(OSError):
+            socket.create_connection((host, port), timeout=_REACH_SECONDS).close()
+            return Meeting(connect_store(host, port, placement, timeout, keeps=True), host, is_one_machine)
+    raise RuntimeError(f"MASTER_ADDR: rank 0 cannot be reached at {' or '.join(hosts)}, port {port}")
 
 
-def _connect_store(host: str, port: int, placement: Placement, timeout: float, keeps: bool) -> dist.TCPStore:
+def connect_store(host: str, port: int, placement: Placement, timeout: float, keeps: bool) -> dist.TCPStore:
+    """The store of all ranks.
+
+    Args:
+        host, port: of rank 0; port 0: any free one.
+        placement: of this rank.
+        timeout: seconds, also of the store's own.
+        keeps: whether rank 0 hosts it.
+
+    Raises:
+        RuntimeError: naming MASTER_ADDR or MASTER_PORT.
+    """
     common: dict[str, Any] = {"timeout": timedelta(seconds=timeout), "wait_for_workers": False}
     if not (keeps and placement.rank == 0):
         return _join_store(host, port, placement.size, timeout, common)
-    if not is_loopback(host):
-        return dist.TCPStore(host, port, placement.size, is_master=True, **common)
-    # By default torch would listen on all interfaces.
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    # By default torch listens on all interfaces.
     try:
+        if not is_loopback(host):
+            if "MASTER_ADDR" in os.environ:
+                _require_own(host)
+            return dist.TCPStore(LOOPBACK, port, placement.size, is_master=True, **common)
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
         listener = socket.create_server((host, port), family=family, backlog=min(placement.size, 4096))
-    except OSError as error:
-        raise RuntimeError(f"MASTER_PORT: cannot listen on {host}, port {port}: {error.strerror}") from error
+    except (OSError, dist.DistError) as error:
+        reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
+        raise RuntimeError(f"MASTER_PORT: cannot listen on {host}, port {port}: {reason}") from error
     port = listener.getsockname()[1]
     return dist.TCPStore(host, port, placement.size, is_master=True, master_listen_fd=listener.detach(), **common)
+
+
+def _require_own(host: str) -> None:
+    """Raises RuntimeError if MASTER_ADDR is not an address of this machine, on which rank 0 runs."""
+    here, resolved = socket.gethostname(), set()
+    with suppress(OSError):
+        resolved = {plain(str(info[4][0])) for info in socket.getaddrinfo(host, None)}
+    is_own = any(is_loopback(address) for address in resolved) or bool(resolved & set(addresses()))
+    if resolved and host != here and not is_own:
+        raise RuntimeError(f"MASTER_ADDR: {host} is no address of {here}, on which rank 0 runs")
 
 
 def _join_store(host: str, port: int, size: int, timeout: float, common: dict[str, Any]) -> dist.TCPStore:
     """Connects to rank 0's store. In a thread, because torch waits without a time-out for the answer of a process that
     accepts the connection: if another program listens on this port, forever.
     """
+    _wait_until_reached(host, port, timeout)
     made: Queue[dist.TCPStore | Exception] = Queue()
 
     def join() -> None:
@@ -156,14 +285,43 @@ def _join_store(host: str, port: int, size: int, timeout: float, common: dict[st
 
     thread = threading.Thread(target=join, name="pgccd-store", daemon=True)
     thread.start()
+    patience = min(timeout, _STORE_SECONDS)
     try:
-        store = made.get(timeout=timeout + _LATER_SECONDS)
+        store = made.get(timeout=patience + _LATER_SECONDS)
     except Empty:
-        raise RuntimeError(f"MASTER_PORT: no store answers at {host}, port {port}, within {timeout:g} s") from None
+        why = "another program listens there, or MASTER_ADDR is not rank 0's machine"
+        raise RuntimeError(
+            f"MASTER_PORT: no store answers at {host}, port {port}, within {patience:g} s: {why}"
+        ) from None
     thread.join()
     if isinstance(store, Exception):
         raise store
     return store
+
+
+def _wait_until_reached(host: str, port: int, timeout: float) -> None:
+    """Returns once a process listens there.
+
+    Raises:
+        RuntimeError: nothing listens after `timeout` seconds; or there is no such machine, sooner.
+    """
+    begin, is_told = time.monotonic(), False
+    while True:
+        try:
+            socket.create_connection((host, port), timeout=_REACH_SECONDS).close()
+            return
+        except OSError as error:
+            reason, is_refused = error.strerror or str(error), isinstance(error, ConnectionRefusedError)
+        at = f"{host}, port {port} (MASTER_ADDR, MASTER_PORT): {reason}"
+        waited = time.monotonic() - begin
+        # Rank 0 may start later, but its machine does not move.
+        if waited > timeout or (not is_refused and waited > _STORE_SECONDS - _REACH_SECONDS):
+            raise RuntimeError(f"MASTER_ADDR: rank 0 cannot be reached at {at}, for {waited:.0f} s")
+        if waited > _TOLD_AFTER and not is_told:
+            is_told = True
+            sys.stderr.write(f"pgccd: rank 0 is not yet reached at {at}\n")
+            sys.stderr.flush()
+        time.sleep(10 * _POLL_SECONDS)
 
 
 def _variable(name: str) -> str:

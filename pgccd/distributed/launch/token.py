@@ -1,27 +1,32 @@
-"""The job's token, by which its processes authenticate each other: the stores of torch.distributed do not do so."""
+"""The job's token, by which its processes authenticate each other: the stores of torch.distributed do not do so.
+
+The token never passes through a store, which any process that can connect may read.
+"""
 
 from __future__ import annotations
 
 import os
 import secrets
-import tempfile
+import socket
 import time
-import warnings
-from datetime import timedelta
 from pathlib import Path
 
 import torch.distributed as dist
 
 from pgccd.distributed.launch.placement import Placement
+from pgccd.distributed.launch.private_files import folders, read_private, refresh, write_private
 
 VARIABLE = "PGCCD_JOB_TOKEN"
 _BYTES = 32
 _POLL_SECONDS = 0.01
+# Seconds until a file of one machine is visible on another: network file systems cache folders.
+_SEEN_WITHIN = 20.0
+_ADVICE = f"set {VARIABLE} to the same secret on all ranks"
 
 
 def share_token(store: dist.Store, placement: Placement, timeout: float) -> bytes:
-    """The token, on all ranks: from the environment, or from a file that only this user can read. If the machines share
-    neither, it is sent through the store, which any process that can connect may read.
+    """The token, on all ranks: from the environment, or from a file that only this user can read, whose name passes
+    through the store.
 
     Args:
         store: shared by all ranks.
@@ -29,67 +34,52 @@ def share_token(store: dist.Store, placement: Placement, timeout: float) -> byte
         timeout: seconds within which all ranks must have called this.
 
     Raises:
-        RuntimeError: ranks are missing after the time-out.
+        RuntimeError: ranks are missing after the time-out, or this rank does not see the file.
     """
     given = os.environ.get(VARIABLE)
     if given:
         return given.encode()
     if placement.rank == 0:
         return _hand_out(store, placement.size, timeout)
-    found = _read(Path(store.get("token/file").decode()))
-    store.add("token/read" if found else "token/lacking", 1)
-    store.wait(["token/by store"], timedelta(seconds=timeout))
-    by_store = bytes.fromhex(store.get("token/by store").decode())
-    return by_store or found
+    path = store.get("token/file").decode()
+    found = _look_for(Path(path), 0.0 if placement.is_one_machine else min(_SEEN_WITHIN, timeout)) if path else b""
+    store.add("token/looked", 1)
+    if found:
+        return found
+    if not path:
+        raise RuntimeError(f"token: rank 0 can write no file that only its user can read: {_ADVICE}")
+    raise RuntimeError(f"token: {path} of rank 0 is no private file of this user on {socket.gethostname()}: {_ADVICE}")
 
 
 def _hand_out(store: dist.Store, size: int, timeout: float) -> bytes:
-    token, path = secrets.token_bytes(_BYTES), None
-    for folder in (_cache_folder(), Path(tempfile.gettempdir())):
-        path = path or _write(token, folder)
+    token = secrets.token_bytes(_BYTES)
+    path = write_private(token)
     try:
         store.set("token/file", str(path or ""))
         deadline = time.monotonic() + timeout
-        while store.add("token/read", 0) + store.add("token/lacking", 0) < size - 1:
+        while store.add("token/looked", 0) < size - 1:
             if time.monotonic() > deadline:
                 raise RuntimeError(f"not all of {size} ranks connected within {timeout:g} s")
             time.sleep(_POLL_SECONDS)
     finally:
         if path is not None:
             path.unlink(missing_ok=True)
-    lacking = store.add("token/lacking", 0)
-    if lacking:
-        warnings.warn(
-            f"{lacking} ranks see no file of rank 0: the job's token passes through a store that other users of the "
-            f"network can read; to prevent this, set {VARIABLE} to the same secret on all ranks",
-            stacklevel=2,
-        )
-    store.set("token/by store", token.hex() if lacking else "")
+    if path is None:
+        tried = " and ".join(map(str, folders()))
+        raise RuntimeError(f"token: rank 0 can write no file to {tried}: {_ADVICE}")
     return token
 
 
-def _cache_folder() -> Path:
-    return Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")) / "pgccd"
-
-
-def _write(token: bytes, folder: Path) -> Path | None:
-    """Writes the token to a file that only this user can read; None if that fails."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        descriptor, name = tempfile.mkstemp(prefix="token-", dir=folder)  # mode 0600
-        with os.fdopen(descriptor, "wb") as file:
-            file.write(token)
-        return Path(name)
-    except OSError:
-        return None
+def _look_for(path: Path, seconds: float) -> bytes:
+    """The token in the file, as soon as this machine sees it; empty if it does not in that time."""
+    deadline = time.monotonic() + seconds
+    while not (found := _read(path)) and time.monotonic() < deadline:
+        refresh(path.parent)
+        time.sleep(10 * _POLL_SECONDS)
+    return found
 
 
 def _read(path: Path) -> bytes:
-    """The token in such a file; empty if it does not exist or belongs to another user."""
-    try:
-        with path.open("rb") as file:
-            is_own = os.fstat(file.fileno()).st_uid == os.getuid()
-            token = file.read(_BYTES + 1)
-    except OSError:
-        return b""
-    return token if is_own and len(token) == _BYTES else b""
+    """The token in a private file; empty if it holds none."""
+    token = read_private(path)
+    return token if len(token) == _BYTES else b""

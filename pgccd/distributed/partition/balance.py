@@ -38,6 +38,8 @@ class BalanceOptions:
         start, goal: cost: balancing starts once the largest load exceeds the mean by the fraction `start`, and ends at
             `goal`.
         moving, horizon: cost: moving a body costs `moving` body-steps; the gain is counted over `horizon` steps.
+        deciding: cost: a decision, with its sums over all ranks, costs as much as `deciding` bodies of one rank in one
+            step. It is made once the steps since the last one have lost more by imbalance.
         most_moves: cost: maximum number of cells moved in one step, per rank.
         every: steps between decisions.
 
@@ -51,13 +53,14 @@ class BalanceOptions:
     goal: float = 0.02
     moving: float = 4.0
     horizon: int = 32
+    deciding: float = 20_000.0
     most_moves: int = 16
     every: int = 1
 
     def __post_init__(self) -> None:
         if self.policy not in POLICIES:
             raise ValueError(f"policy: expected one of {list(POLICIES)}, got {self.policy!r}")
-        for name in ("threshold", "start", "goal", "moving"):
+        for name in ("threshold", "start", "goal", "moving", "deciding"):
             if not 0.0 <= getattr(self, name) < float("inf"):
                 raise ValueError(f"{name}: expected a finite number >= 0, got {getattr(self, name)}")
         if self.goal > self.start:
@@ -134,6 +137,16 @@ class RankLoads:
     contacts: Sequence[int]
     seconds: Sequence[float]  #: of work
 
+    @property
+    def _cost(self) -> list[int]:
+        return [bodies + PAIR_COST * pairs for bodies, pairs in zip(self.bodies, self.pairs, strict=True)]
+
+    @property
+    def lost(self) -> float:
+        """By how much the largest cost of a rank exceeds the mean, in bodies: what the step has lost by imbalance."""
+        cost = self._cost
+        return max(cost) - sum(cost) / len(cost)
+
     def are_level(self, options: BalanceOptions) -> bool:
         """True if no cell would move, whatever the loads of the cells.
 
@@ -141,7 +154,7 @@ class RankLoads:
         """
         if options.policy == "one-cell":
             return _differ_little(self.contacts, options.threshold)
-        cost = [bodies + PAIR_COST * pairs for bodies, pairs in zip(self.bodies, self.pairs, strict=True)]
+        cost = self._cost
         if options.policy != "measured":
             return _are_even(max(cost), sum(cost) / len(cost), options)
         speed = relative_speeds(torch.tensor(cost), torch.tensor(self.seconds, dtype=torch.float64))

@@ -42,14 +42,20 @@ class Balancer:
 
     def __init__(self, options: BalanceOptions) -> None:
         self.options, self._back_off = options, BackOff()
+        self._lost = 0.0  # by imbalance since the last decision, in bodies
 
     def is_due(self, steps_made: int, ranks: int) -> bool:
-        """Whether to decide after `steps_made` steps, unless the loads are level."""
+        """Whether to decide after `steps_made` steps, if that is worthwhile."""
         return self.options.applies(steps_made, ranks) and self._back_off.is_over(steps_made)
 
-    def are_level(self, loads: RankLoads) -> bool:
-        """Whether no decision is needed for these loads."""
-        return loads.are_level(self.options)
+    def is_worthwhile(self, loads: RankLoads) -> bool:
+        """Whether to decide for these loads of the last step: they are not level, and the steps since the last decision
+        have lost more by imbalance than a decision costs. Called once a step.
+        """
+        if loads.are_level(self.options):
+            return False
+        self._lost += loads.lost
+        return self.options.policy == "one-cell" or self._lost >= self.options.deciding
 
     def decide(
         self, decomposition: Decomposition, places: Places, loads: RankLoads, steps_made: int
@@ -65,6 +71,7 @@ class Balancer:
         comm, seconds = decomposition.comm, torch.tensor(loads.seconds, dtype=torch.float64)
         partition, moved = rebalanced(comm, decomposition.partition, places, self.options, seconds)
         self._back_off.tried(steps_made, moved)
+        self._lost = 0.0
         return (Decomposition(comm, partition) if moved else decomposition), moved
 
 

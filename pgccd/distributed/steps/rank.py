@@ -95,7 +95,7 @@ class Rank:
 
     def is_balance_due(self, steps_made: int, loads: RankLoads) -> bool:
         """Whether to `balance` after `steps_made` steps."""
-        return self.balancer.is_due(steps_made, self.comm.size) and not self.balancer.are_level(loads)
+        return self.balancer.is_due(steps_made, self.comm.size) and self.balancer.is_worthwhile(loads)
 
     def balance(self, share: Share, loads: RankLoads, steps_made: int) -> int:
         """Rebalances space. Returns the number of cells or planes that moved.

@@ -21,6 +21,7 @@ from pgccd.distributed.detection.share import Share, search_share
 from pgccd.distributed.halo.migrate import count_leaving
 from pgccd.distributed.halo.sizes import HaloSizes
 from pgccd.distributed.launch.agreement import require_agreement
+from pgccd.distributed.launch.code import code_of
 from pgccd.distributed.partition.balance import RankLoads
 from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.distributed.steps.rank import can_replay
@@ -144,11 +145,12 @@ class CapturedWorld(RankSteps[WorldStep, _Committed, "_WorldGraph"]):
 
         Raises:
             TypeError, ValueError: as `World.step` and `World.move` raise for the results of the functions; or ranks
-                have different `steps` or `graph`.
+                have different `steps`, `graph`, or code of a function.
         """
         steps = arguments.integer(steps, "steps", 0, "a number of steps >= 0")
         world, found = self._world, []
-        require_agreement(world.comm, {"steps": steps, "graph": self._wants_graph})
+        functions = {"motion": code_of(self._motion), "response": code_of(self._response)}
+        require_agreement(world.comm, {"steps": steps, "graph": self._wants_graph, **functions})
         world.comm.guard.activity = "step"
         if self._graph is not None and not self._load(self._graph, world.steps_made):
             self._graph = None

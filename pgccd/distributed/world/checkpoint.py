@@ -11,10 +11,10 @@ from typing import Any
 import torch
 
 from pgccd import arguments
-from pgccd.checkpoint.files import CheckpointError
-from pgccd.checkpoint.stored import Stored, has_checkpoint
+from pgccd.checkpoint.files import CheckpointError, checked_keep
+from pgccd.checkpoint.stored import Index, Stored, has_checkpoint
 from pgccd.distributed.checkpoint.partition import load_partition, stored_kind
-from pgccd.distributed.checkpoint.reading import load_share
+from pgccd.distributed.checkpoint.reading import load_share, open_stored
 from pgccd.distributed.checkpoint.shared_folder import hold_together
 from pgccd.distributed.checkpoint.writing import CheckpointWriter
 from pgccd.distributed.comm.interface import Comm
@@ -34,9 +34,11 @@ _REQUIRED = ("id", "mesh_index", "position")
 _KNOWN = (*_REQUIRED, *OPTIONAL_COLUMNS, "self_collision", _COUNT)
 
 
-def save_state(comm: Comm, folder: str | PathLike[str], state: WorldState) -> Path:
+def save_state(comm: Comm, folder: str | PathLike[str], state: WorldState, keep: int) -> Path:
     """Writes a checkpoint from all ranks, and makes it the newest one in a folder; see `World.save`."""
     root = _folder_given(comm, folder)
+    keep = together(comm, lambda: checked_keep(keep))
+    require_agreement(comm, {"keep": keep})
     tables = {_BODIES: state.columns}
     if state.vertices is not None:
         tables[_VERTICES] = state.vertices.columns
@@ -44,7 +46,7 @@ def save_state(comm: Comm, folder: str | PathLike[str], state: WorldState) -> Pa
     cut |= {"lower": [float(x) for x in state.cut.lower], "upper": [float(x) for x in state.cut.upper]}
     header = {"meshes": meshes_digest(state.meshes.meshes), "cut": cut}
     with hold_together(comm, root):
-        writer = CheckpointWriter(comm, root, KIND)
+        writer = CheckpointWriter(comm, root, KIND, keep)
         writer.begin(state.steps_made, header, tables, state.partition)
         written = writer.finish()
     assert written is not None
@@ -62,7 +64,7 @@ def load_state(
     root = _folder_given(comm, folder)
     if not on_first(comm, lambda: has_checkpoint(root)):  # same type on all ranks: callers may create a new world
         raise of_all_ranks(FileNotFoundError(f"folder: no checkpoint at {root}"))
-    stored = on_first(comm, lambda: _stored(root))
+    stored = open_stored(comm, lambda index: _stored(root, index))
 
     def prepare() -> tuple[MeshSet, Partition]:
         where = arguments.device(device)
@@ -111,9 +113,9 @@ def _folder_given(comm: Comm, folder: str | PathLike[str]) -> Path:
     return path
 
 
-def _stored(folder: Path) -> Stored:
+def _stored(folder: Path, index: Index | None) -> Stored:
     """The newest checkpoint, with an index that has all columns of a world."""
-    stored = Stored(folder, KIND)
+    stored = Stored(folder, KIND, index)
     names = stored.layout.get(_BODIES, {})
     missing = [name for name in _REQUIRED if name not in names]
     missing += [_COUNT] if _VERTICES in stored.layout and _COUNT not in names else []

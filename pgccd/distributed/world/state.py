@@ -37,6 +37,7 @@ class WorldState:
     columns: Columns  #: of bodies; names of the payload begin with "."
     vertices: Vertices | None  #: that migrate with the bodies
     steps_made: int = 0
+    dtype: str = "float64"  #: of the positions as they were given
 
     def with_ids(self, comm: Comm, are_given: bool) -> WorldState:
         """This state with unique ids; ids that were not given become consecutive, rank by rank.
@@ -100,7 +101,7 @@ def state_given(
     columns |= payload_columns({} if payload is None else payload, "payload", len(position), position.device)
     if both := sorted(set(of_vertices) & set(columns)):
         raise ValueError(f"vertex_payload[{both[0][1:]!r}]: payload has a tensor of this name too")
-    return WorldState(mesh_set, cut, partition, columns, vertices)
+    return WorldState(mesh_set, cut, partition, columns, vertices, dtype=arguments.dtype_name(position.dtype))
 
 
 def require_alike(
@@ -116,7 +117,10 @@ def require_alike(
     facts = {name: _plain(value) for part in (vars(state.cut), vars(options)) for name, value in part.items()}
     facts |= {f"balance.{name}": _plain(value) for name, value in vars(balance).items()}
     facts |= {"path": path, "id": "given" if ids_given else "not given"}
-    facts |= {"meshes": meshes_digest(state.meshes.meshes), "position": state.columns["position"].device.type}
+    facts |= {
+        "meshes": meshes_digest(state.meshes.meshes),
+        "position": (state.columns["position"].device.type, state.dtype),
+    }
     of_vertices = {} if state.vertices is None else state.vertices.columns
     for argument, columns in (("payload", state.columns), ("vertex_payload", of_vertices)):
         for name, column in columns.items():

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from pgccd import arguments
+from pgccd.checkpoint.files import KEEP
 from pgccd.detection import narrow
 from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.broad import BroadPhase
@@ -285,13 +286,14 @@ class World(Generic[R]):
         require_alike(comm, state, options, balance, path, ids_given=True)
         return cls._begin(comm, options, balance, path, state)
 
-    def save(self, folder: str | PathLike[str]) -> Path:
-        """Writes a checkpoint between two steps, which `load` reads on any number of ranks. The previous checkpoint is
+    def save(self, folder: str | PathLike[str], keep: int = KEEP) -> Path:
+        """Writes a checkpoint between two steps, which `load` reads on any number of ranks. Earlier checkpoints are
         removed once this one is complete.
 
         Args:
             folder: shared by all ranks, for checkpoints of one world. It is created if needed, and locked against other
                 jobs while this method runs.
+            keep: number of checkpoints to keep, this one included: the newest ones.
 
         Returns:
             The folder of the checkpoint, inside `folder`.
@@ -304,7 +306,7 @@ class World(Generic[R]):
             >>> world.save("out/world")
         """
         state = WorldState(self._meshes, self._cut, self.partition, self.columns, self._vertices, self.steps_made)
-        return save_state(self.comm, folder, state)
+        return save_state(self.comm, folder, state, keep)
 
     @property
     def partition(self) -> Partition:

@@ -57,7 +57,7 @@ def _gather_step(comm: Comm, step: RankStep, one_in: int) -> Step:
     contacts = gather_columns(comm, take_rows(columns, torch.nonzero(columns["pairs"][:, 0] % one_in == 0)[:, 0]))
     ids = torch.empty(0, dtype=torch.int64)
     if one_in > 1:
-        ids = comm.broadcast_object(contacts["pairs"].unique().cpu())
+        ids = comm.broadcast(contacts["pairs"].unique())
     moved = step.before.columns | {"fraction": step.resolution.fraction[: len(step.before)].contiguous()}
     before = _gather_robots(comm, moved, one_in, ids)
     resolution = replace(step.resolution, fraction=before.pop("fraction"))

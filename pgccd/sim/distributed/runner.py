@@ -9,9 +9,10 @@ from typing import Any
 
 import torch
 
+from pgccd.checkpoint.files import KEEP, checked_keep
 from pgccd.detection.broad import BroadPhase
 from pgccd.distributed.checkpoint.partition import load_partition, stored_kind
-from pgccd.distributed.checkpoint.reading import load_share
+from pgccd.distributed.checkpoint.reading import load_share, open_stored
 from pgccd.distributed.checkpoint.shared_folder import hold_together
 from pgccd.distributed.checkpoint.writing import CheckpointWriter
 from pgccd.distributed.comm.interface import Comm
@@ -24,6 +25,7 @@ from pgccd.geometry.mesh import Mesh
 from pgccd.sim.checkpoint import KIND, ROBOTS, Header, StoredCheckpoint, require_checkpoint
 from pgccd.sim.distributed.gathering import gather_sample
 from pgccd.sim.distributed.simulation import CommittedRankStep, DistributedSimulation, RankStep, starting_share
+from pgccd.sim.hashing import state_hash
 from pgccd.sim.log import StepLog
 from pgccd.sim.model import Model, ModelConfig, RobotState
 from pgccd.sim.progress import Progress
@@ -69,6 +71,7 @@ def run(
     progress: Progress | None = None,
     keep_steps: int = 0,
     overwrite: bool = False,
+    keep: int = KEEP,
     notes: Mapping[str, Any] | None = None,
 ) -> Run:
     """Simulates a world from its start on all ranks; rank 0 writes `world.json` and `steps.jsonl`.
@@ -78,7 +81,7 @@ def run(
 
     Args:
         comm: between the ranks.
-        config, steps, folder, meshes, broad_phase, checkpoint_every, progress, overwrite, notes: as for
+        config, steps, folder, meshes, broad_phase, checkpoint_every, progress, overwrite, keep, notes: as for
             `pgccd.sim.run`; equal on all ranks.
         device: of this rank.
         options: of the distribution.
@@ -86,7 +89,7 @@ def run(
             more than a million robots the last step of an even sample, whose size does not grow with the world.
 
     Returns:
-        The run; without records on ranks other than 0. With `keep_steps` rank 0 has the gathered state.
+        The run; without its folder and records on ranks other than 0. With `keep_steps` rank 0 has the gathered state.
 
     Raises:
         ValueError: naming the argument; on all ranks.
@@ -99,7 +102,7 @@ def run(
     if steps < 0:
         raise ValueError(f"steps: expected a number >= 0, got {steps}")
     model = together(comm, lambda: Model(config, meshes, device))
-    _compare(comm, model, steps, folder, checkpoint_every, keep_steps, options)
+    _compare(comm, model, steps, folder, checkpoint_every, keep_steps, options, keep)
 
     with hold_together(comm, folder):
         on_first(comm, lambda: begin(folder, model.describe() | dict(notes or {}), overwrite))
@@ -108,7 +111,7 @@ def run(
         simulation = DistributedSimulation.create(
             comm, model, partition, start, options.balance, options.overlap, broad_phase
         )
-        return _continue(simulation, 0, steps, folder, checkpoint_every, progress, keep_steps)
+        return _continue(simulation, 0, steps, folder, checkpoint_every, progress, keep_steps, keep)
 
 
 def resume(
@@ -123,12 +126,13 @@ def resume(
     checkpoint_every: int = 0,
     progress: Progress | None = None,
     keep_steps: int = 0,
+    keep: int = KEEP,
 ) -> Run:
     """Continues a run from its newest checkpoint, on any number of ranks, with the same result as without interruption.
     The checkpoint may be from `pgccd.sim.run`.
 
     Args:
-        comm, folder, meshes, device, broad_phase, options, checkpoint_every, progress, keep_steps: as for `run`.
+        comm, folder, meshes, device, broad_phase, options, checkpoint_every, progress, keep_steps, keep: as for `run`.
         steps: total number of steps; default: that of the run.
 
     Raises:
@@ -139,19 +143,19 @@ def resume(
         >>> pgccd.sim.distributed.resume(comm, "out/million", steps=200)
     """
     folder, options = Path(folder), options or DistributedOptions()
-    stored = on_first(comm, lambda: require_checkpoint(folder))  # before anything is written to the folder
+    on_first(comm, lambda: require_checkpoint(folder) and None)  # before anything is written to the folder
     with hold_together(comm, folder):
-        stored = on_first(comm, lambda: require_checkpoint(folder))
+        stored = open_stored(comm, lambda index: require_checkpoint(folder, index))
         header = stored.run
         model, steps = together(comm, lambda: continued(folder, header, steps, meshes, device))
-        _compare(comm, model, steps, folder, checkpoint_every, keep_steps, options)
+        _compare(comm, model, steps, folder, checkpoint_every, keep_steps, options, keep)
         state = load_robots(comm, stored).to(model.device)
         partition = load_partition(comm, stored, _partition(comm, model, options, stored_kind(stored)))
         simulation = DistributedSimulation.create(
             comm, model, partition, state, options.balance, options.overlap, broad_phase
         )
         made = header.steps_made
-        return _continue(simulation, made, steps, folder, checkpoint_every, progress, keep_steps)
+        return _continue(simulation, made, steps, folder, checkpoint_every, progress, keep_steps, keep)
 
 
 def load_robots(comm: Comm, stored: StoredCheckpoint) -> RobotState:
@@ -167,9 +171,12 @@ def _compare(
     checkpoint_every: int,
     keep_steps: int,
     options: DistributedOptions,
+    keep: int,
 ) -> None:
+    together(comm, lambda: checked_keep(keep))
     facts = {"configuration": model.config, "steps": steps, "folder": str(folder), "options": options}
-    facts |= {"checkpoint_every": checkpoint_every, "keep_steps": keep_steps, "device": model.device.type}
+    facts |= {"checkpoint_every": checkpoint_every, "keep_steps": keep_steps, "keep": keep}
+    facts |= {"device": model.device.type}
     facts |= {"meshes": meshes_digest(model.meshes.meshes), "transport": comm.transport}
     require_agreement(comm, facts)
 
@@ -184,10 +191,10 @@ class _SimulationMachine:
     """A simulation as `Machine` of `drive`."""
 
     def __init__(
-        self, simulation: DistributedSimulation, folder: Path, digest: str, last_steps: LastSteps[RankStep]
+        self, simulation: DistributedSimulation, folder: Path, digest: str, last_steps: LastSteps[RankStep], keep: int
     ) -> None:
         self.simulation, self._digest = simulation, digest
-        self._checkpoints = CheckpointWriter(simulation.comm, folder, KIND)
+        self._checkpoints = CheckpointWriter(simulation.comm, folder, KIND, keep)
         self._last_steps = last_steps
         self._asked = False  # on this rank
         self._stopping: bool | None = None  # on all ranks; None before the first step
@@ -224,16 +231,19 @@ def _continue(
     checkpoint_every: int,
     progress: Progress | None,
     keep_steps: int,
+    keep: int,
 ) -> Run:
     comm, model = simulation.comm, simulation.model
     one_in = -(-model.config.robots // _MOST_GATHERED) if keep_steps else 1
     last_steps = LastSteps(steps, min(keep_steps, 1) if one_in > 1 else keep_steps, RankStep)
-    machine = _SimulationMachine(simulation, folder, meshes_digest(model.meshes.meshes), last_steps)
-    log = together(comm, lambda: StepLog(folder, steps_made) if comm.rank == 0 else None)
+    machine = _SimulationMachine(simulation, folder, meshes_digest(model.meshes.meshes), last_steps, keep)
+    signed = (state_hash(simulation.state) + 2**63) % 2**64 - 2**63
+    total = int(comm.sum(torch.tensor([signed]))) % 2**64
+    log = together(comm, lambda: StepLog(folder, steps_made, f"{total:016x}") if comm.rank == 0 else None)
     made = drive(machine, log, steps_made, steps, checkpoint_every, progress)
     comm.barrier()  # rank 0 has completed the last checkpoint
     state, shown = simulation.state, list[Step]()
     if keep_steps:
         state, shown = gather_sample(comm, state, last_steps.steps, one_in)
-    records = [] if log is None else log.records
-    return Run(model, state, made, records, shown, interrupted=made < steps, one_in=one_in)
+    of_first = None if log is None else folder
+    return Run(model, state, made, of_first, shown, interrupted=made < steps, one_in=one_in)

@@ -1,0 +1,98 @@
+"""What a rank runs, for agreement: versions, digests of the package's sources, and code of functions."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import platform
+import types
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+import pgccd
+from pgccd._host import build_information
+
+
+@functools.cache
+def code_facts() -> dict[str, str]:
+    """What must be equal on all ranks whatever they do, by name. Binaries are not compared: they differ from build to
+    build of the same sources.
+    """
+    return {
+        "pgccd": pgccd.__version__,
+        "torch": torch.__version__,
+        "numpy": np.__version__,
+        "Python": ".".join(platform.python_version_tuple()[:2]),
+        "machine": platform.machine(),
+        "pgccd's .py files": digest_of_files(Path(pgccd.__file__).parent),
+        "C++ sources of pgccd's build": build_information()["sources"],
+    }
+
+
+def digest_of_files(package: Path) -> str:
+    """Of the names and contents of all .py files in a folder."""
+    digest = hashlib.sha256()
+    for path in sorted(package.rglob("*.py")):
+        content = path.read_bytes()
+        digest.update(f"{path.relative_to(package).as_posix()}\0{len(content)}\0".encode() + content)
+    return digest.hexdigest()[:16]
+
+
+def code_of(function: Callable[..., Any]) -> str:
+    """A function's name and a digest of its code, not of its place in a file: equal on ranks that run the same.
+
+    Lambdas, partial functions (with functions among their arguments), methods, objects with `__call__`, and functions
+    in closures are covered; values are not compared, since they may differ between ranks.
+    """
+    digest = hashlib.sha256()
+    _add(digest, function, set())
+    name = getattr(function, "__qualname__", type(function).__qualname__)
+    return f"{name} ({digest.hexdigest()[:16]})"
+
+
+def _add(digest: Any, value: Any, seen: set[int]) -> None:
+    if id(value) in seen:
+        return
+    seen.add(id(value))
+    if isinstance(value, functools.partial):
+        digest.update(b"partial")
+        for each in (value.func, *value.args, *(value.keywords[name] for name in sorted(value.keywords))):
+            if callable(each):
+                _add(digest, each, seen)
+        return
+    value = getattr(value, "__wrapped__", value)
+    value = getattr(value, "__func__", value)
+    code = getattr(value, "__code__", None)
+    if isinstance(code, types.CodeType):
+        digest.update(repr(_plain(code)).encode(errors="replace"))
+        for cell in getattr(value, "__closure__", None) or ():
+            try:
+                inner = cell.cell_contents
+            except ValueError:  # empty
+                continue
+            if callable(inner):
+                _add(digest, inner, seen)
+        return
+    kind = value if isinstance(value, type) else type(value)
+    digest.update(f"{kind.__module__}.{kind.__qualname__} {getattr(value, '__qualname__', '')}".encode())
+    for name in ("__call__", "forward"):  # forward: of a torch module
+        method = getattr(kind, name, None)
+        if isinstance(getattr(method, "__code__", None), types.CodeType):
+            _add(digest, method, seen)
+
+
+def _plain(value: Any) -> Any:
+    """Code and constants as values whose `repr` is the same in every process."""
+    if isinstance(value, types.CodeType):
+        names = value.co_names, value.co_varnames, value.co_freevars, value.co_cellvars
+        counts = value.co_argcount, value.co_posonlyargcount, value.co_kwonlyargcount, value.co_flags
+        return value.co_code, names, counts, [_plain(each) for each in value.co_consts]
+    if isinstance(value, frozenset):
+        return sorted(repr(_plain(each)) for each in value)
+    if isinstance(value, tuple):
+        return tuple(_plain(each) for each in value)
+    return value
