@@ -187,7 +187,7 @@ def calls(folder: Path) -> dict[str, Call]:
         ),
         "distributed.World.step": Call(world.step, {"motion": motion}),
         "distributed.World.move": Call(world.move, {"position": motion.position_t0, "v": torch.ones(2, 3)}),
-        "distributed.World.save": Call(world.save, {"folder": folder / "saved"}),
+        "distributed.World.save": Call(world.save, {"folder": folder / "saved", "keep": 2}),
         "distributed.World.load": Call(
             distributed.World.load,
             {"folder": folder / "saved", "meshes": [mesh], "device": "cpu", "report": "first", **options}

@@ -134,7 +134,14 @@ class Comm(ABC):
             return self.objects.broadcast(value)
 
     def broadcast(self, values: Tensor | None) -> Tensor:
-        """Rank 0's tensor, on the CPU, of any shape and dtype; what other ranks pass is ignored."""
+        """Rank 0's tensor on all ranks, on the CPU.
+
+        Args:
+            values: of any shape (...) and dtype; ignored on ranks other than 0, which may pass None.
+
+        Returns:
+            (...): the same shape and dtype on all ranks.
+        """
         mine = values.detach().cpu().contiguous() if self.rank == 0 and values is not None else None
         layout = None if mine is None else [arguments.dtype_name(mine.dtype), list(mine.shape)]
         dtype, shape = self.broadcast_object(layout)

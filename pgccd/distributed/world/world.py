@@ -287,8 +287,8 @@ class World(Generic[R]):
         return cls._begin(comm, options, balance, path, state)
 
     def save(self, folder: str | PathLike[str], keep: int = KEEP) -> Path:
-        """Writes a checkpoint between two steps, which `load` reads on any number of ranks. Earlier checkpoints are
-        removed once this one is complete.
+        """Writes a checkpoint between two steps, which `load` reads on any number of ranks. All but the newest
+        checkpoints are removed once this one is complete.
 
         Args:
             folder: shared by all ranks, for checkpoints of one world. It is created if needed, and locked against other
@@ -300,7 +300,8 @@ class World(Generic[R]):
 
         Raises:
             CheckpointError: it cannot be written; the previous one is kept; on all ranks.
-            ValueError: the folder is locked by another job, or is not visible to a rank; on all ranks.
+            ValueError, TypeError: naming the argument; the folder is locked by another job, or is not visible to a rank;
+                on all ranks.
 
         Example:
             >>> world.save("out/world")
