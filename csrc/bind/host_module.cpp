@@ -87,5 +87,6 @@ PYBIND11_MODULE(_host, module) {
   module.def("prepare_mesh", &prepare_mesh, py::arg("vertices"), py::arg("faces"), py::arg("leaf_size"),
              "Edges, triangles in leaf order with their represented features, and the hierarchy of a mesh. "
              "vertices (V, 3) float64, faces (F, 3) int32, valid and not empty.");
-  module.def("build_information", &build_information, "Version, commit, digest of the C++ sources, compiler and CUDA of this build.");
+  module.def("build_information", &build_information,
+             "Version, commit, digest of the C++ sources, compiler and CUDA of this build.");
 }

@@ -130,6 +130,22 @@ MUTANTS = [
         ("detection/test_search_in_parts.py",),
     ),
     Mutant(
+        "descents-that-ended-early-not-repeated",
+        "csrc/kernels/pipeline/pipeline_cpu.cpp",
+        "is_decided[pair] != 0;",
+        "true;",
+        ("detection/test_search_in_parts.py",),
+        switched=False,
+    ),
+    Mutant(
+        "pairs-before-the-earliest-dropped",
+        "csrc/kernels/pipeline/pipeline_cpu.cpp",
+        "row > first;",
+        "row != first;",
+        ("detection/test_search_in_parts.py",),
+        switched=False,
+    ),
+    Mutant(
         "leaves-part-not-rounded-down",
         TRAVERSE + "leaf_separation.h",
         "rounded_down((from - threshold) / (from - to))",

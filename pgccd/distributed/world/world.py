@@ -300,8 +300,8 @@ class World(Generic[R]):
 
         Raises:
             CheckpointError: it cannot be written; the previous one is kept; on all ranks.
-            ValueError, TypeError: naming the argument; the folder is locked by another job, or is not visible to a rank;
-                on all ranks.
+            ValueError, TypeError: naming the argument; the folder is locked by another job, or is not visible to a
+                rank; on all ranks.
 
         Example:
             >>> world.save("out/world")
