@@ -318,3 +318,23 @@ def test_many_bodies_that_intersect(threads: int, device: torch.device) -> None:
     if device.type == "cpu":
         assert found["any"].stats.node_tests < found["first"].stats.node_tests / 2
         assert found["earliest"].stats.node_tests < found["first"].stats.node_tests / 10
+
+
+@pytest.mark.parametrize("end", [-3.0, 79.0])
+def test_the_only_contact_comes_after_many_leaves(end: float, device: torch.device) -> None:
+    """Forty clouds of small triangles are among one another from the start, and none touches; tips at an end do."""
+    random = np.random.default_rng(8)
+
+    def clouds() -> tuple[np.ndarray, np.ndarray]:
+        centres = random.uniform(0.0, 1.0, (40, 8, 1, 3)) + 2.0 * np.arange(40)[:, None, None, None] * [1.0, 0.0, 0.0]
+        corners = centres + random.normal(0.0, 1e-4, (40, 8, 3, 3))
+        return corners.reshape(-1, 3), np.arange(40 * 8 * 3).reshape(-1, 3)
+
+    at_end = [end, 0.5, 0.5]
+    shapes = [joined(clouds(), (part[0] + at_end, part[1])) for part in (tip(0.0), wall(2.0 * RADIUS, 0.0))]
+    scene = pgccd.Scene(shapes, device=device)
+    at, unit = torch.zeros(2, 3, dtype=torch.float64), torch.tensor([[1.0, 0.0, 0.0, 0.0]] * 2).double()
+    motion = pgccd.RigidMotion(at, unit, torch.tensor([[2.0 * RADIUS, 0.0, 0.0], [0.0] * 3]).double(), unit).to(device)
+    first = assert_parts_agree(scene, motion, "first", 0.0)
+    assert first.toi.tolist() == pytest.approx([0.5], abs=1e-3)
+    assert assert_parts_agree(scene, motion, "any", 0.0).pairs.tolist() == [[0, 1]]
