@@ -27,5 +27,5 @@ def _exists(name: str) -> bool:
 
 with connect("cpu", "gloo") as comm:
     _ = comm.background
-    for addresses in comm.gather_objects(own_listeners()):
+    for addresses in comm.gather_objects(sorted(own_listeners())):
         sys.stdout.write(f"listens: {sorted(addresses)}\n")
