@@ -96,13 +96,14 @@ class BufferSizes(Capacity):
     contacts: int  #: rows of the result
     overlaps: int = 0  #: body pairs whose boxes overlap
     poses: int = 0  #: poses at the ends of time segments, of the body pairs that have several
-    tasks: int = 0  #: node pairs that one launch of the traversal leaves to the next
+    tasks: int = 0  #: node pairs with which a launch of the descent starts: roots, or what the one before leaves
     leaf_pairs: int = 0  #: pairs of leaves
     candidates: int = 0  #: feature pairs
     open: int = 0  #: feature pairs left by quick rejection
     launches: int = 4  #: traversal launches after the first
     long_rows: bool = False  #: whether one body may have more than 32 partners of larger index
-    #: whether a pair of bodies may have very many candidates: a few of its leaves are then searched first
+    #: whether a pair of bodies may have very many candidates: a few of its leaves are then searched first, and the time
+    #: of a step is divided further for bodies that turn fast
     crowded: bool = False
 
     def __post_init__(self) -> None:

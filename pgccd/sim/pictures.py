@@ -90,7 +90,7 @@ def page_of_steps(model: Model, steps: Sequence[Step], caption: Sequence[str] = 
     motions = [model.motion(step.before) for step in steps]
     fractions = [step.resolution.fraction for step in steps]
     animation = animation_of(model.scene(steps[0].before.id), motions, [step.contacts for step in steps], fractions)
-    # In later rounds robots stop that meet nobody on whole paths.
+    # Later rounds also stop robots without a contact on their whole paths.
     animation.hit = np.stack([step.resolution.stopped.cpu().numpy() for step in steps])
     return _page(model, steps[0].before, animation, steps[0].index, caption)
 

@@ -39,8 +39,8 @@ __device__ void store_rows(const uint4 (&staged)[kWarp][kWords], uint32_t lanes,
   __syncwarp();  // before the memory is written again
 }
 
-// One thread per pair. How many poses a pair needs depends on how far its bodies turn. Pairs whose roots stay apart,
-// half of them, leave nothing behind.
+// One thread per pair. How many poses a pair needs depends on how far its bodies turn. Pairs whose roots stay apart
+// leave nothing to later launches.
 template <bool kDividesTime, class Bodies>
 __global__ void __launch_bounds__(kBlockThreads)
     place_pairs(Pairs<Bodies> pairs, TraverseInput input, PlacedPairs<Bodies> out, TraverseCounters* counters) {

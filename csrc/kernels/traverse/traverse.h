@@ -29,7 +29,7 @@ PGCCD_HD double horizon_of(const TraverseInput& input, int64_t pair) {
 // Capacity of a traversal that does not synchronise.
 struct TraverseCapacity {
   int64_t poses;  // of body pairs with several segments: at all boundaries of these
-  int64_t tasks;  // node pairs passed from launch to launch
+  int64_t tasks;  // node pairs with which a launch starts
   int64_t leaf_pairs;
   int64_t candidates;
   int64_t launches;  // after the first

@@ -97,9 +97,8 @@ struct Traversal {
     return on_device;
   }
 
-  // Does not synchronise; overflow is counted. `launches`: after the first one; each continues tasks that warps have
-  // returned, whose number grows by two orders of magnitude per launch, until the device is full.
-  // `search`: null if all candidates are listed at once.
+  // Does not synchronise; overflow is counted. `launches`: of the descent after the first one; each continues tasks
+  // that warps have returned. `search`: null if all candidates are listed at once.
   CandidateSink enqueue(const TraverseListSizes& capacity, int64_t launches, const SearchFirstPart& search) {
     CandidateSink out;
     const LeafPairList leaves = start(capacity, out);

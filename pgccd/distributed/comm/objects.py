@@ -1,4 +1,4 @@
-"""Values between ranks, as JSON. Not as pickles, which run code of whoever sent them when they are read."""
+"""Values between ranks, as JSON: a pickle from another process can execute code when it is read."""
 
 from __future__ import annotations
 

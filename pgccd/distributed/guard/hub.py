@@ -162,7 +162,7 @@ class Hub:
         if channel in self._greetings:
             try:
                 self._greet(channel)
-            except Exception:  # of any kind: whoever sent this is not believed
+            except Exception:  # whatever its kind: an invalid greeting ends this channel, not the hub
                 self._forget(channel)
             return
         if channel not in self._ranks:  # dropped in this turn

@@ -1,4 +1,4 @@
-"""Ranks that are the processes of an existing process group of torch.distributed, whoever launched them."""
+"""Ranks that are the processes of an existing process group of torch.distributed, started by any launcher."""
 
 from __future__ import annotations
 
