@@ -108,7 +108,7 @@ def namespace(module: str) -> dict[str, Any]:
         names |= of_robots()
     if module.startswith("pgccd.viz"):
         names |= two_bodies()
-    if module in ("pgccd.distributed.world.world", "pgccd.distributed.world.captured"):
+    if module.startswith("pgccd.distributed.world."):
         names |= two_bodies() | {"comm": distributed.Alone()}
         payload = {"velocity": names["v"]}
         if module == "pgccd.distributed.world.captured":

@@ -107,6 +107,8 @@ def calls(folder: Path) -> dict[str, Call]:
         **options,
         **initial,
     }
+    added = {name: all_worlds[name] for name in ("position", "mesh_index", *filters, "margin", "self_collision")}
+    added |= {"id": torch.arange(2, 4), "payload": {"v": torch.ones(2, 3)}, "vertex_payload": {}}
     all_worlds |= {"report": "first", "broad_phase": "auto", "path": "rigid", "axes": 3, "cells": 16, "overlap": True}
     return {
         "Mesh": Call(
@@ -185,7 +187,16 @@ def calls(folder: Path) -> dict[str, Call]:
         "distributed.World.create": Call(
             distributed.World.create, all_worlds, {"position": ("mesh_index", "group", "id"), "mesh_index": ("group",)}
         ),
-        "distributed.World.step": Call(world.step, {"motion": motion}),
+        "distributed.World.step": Call(world.step, {"motion": motion, "payload": ("v", "position")}),
+        "distributed.World.rows_of": Call(world.rows_of, {"ids": pairs}),
+        "distributed.World.sum_per_body": Call(
+            world.sum_per_body, {"hits": hits, "values": torch.ones(len(hits), 2)}, {"hits": ("values",)}
+        ),
+        # The ids have been used after the first call.
+        "distributed.World.add": Call(
+            world.add, added, dict.fromkeys(added, ("id",)) | {"position": ("id", "mesh_index", "group", "payload")}
+        ),
+        "distributed.World.remove": Call(world.remove, {"ids": torch.tensor([1])}),
         "distributed.World.move": Call(world.move, {"position": motion.position_t0, "v": torch.ones(2, 3)}),
         "distributed.World.save": Call(world.save, {"folder": folder / "saved", "keep": 2}),
         "distributed.World.load": Call(

@@ -31,7 +31,7 @@ class TrajectoryContacts(Contacts):
         segment: (K,) int64: from waypoint `segment` to the next.
         toi: (K,) float64 in [0, 1], within the segment.
         time: (K,) float64 in [0, 1] along the whole trajectory: (segment + toi) / (T - 1), rounded down.
-        pairs, kind, features, coordinates, point, normal, status, stats, scene: as of `Contacts`.
+        pairs, kind, features, coordinates, point, normal, status, stats, payload, scene: as of `Contacts`.
     """
 
     segment: Tensor

@@ -214,7 +214,8 @@ def disagree(comm: Comm) -> list[str]:
         messages.append(str(caught.value))
     # Equal values of other types.
     corner = torch.full((3,), 8.0) if odd else (8,) * 3
-    SharedWorld.create([mesh], (0,) * 3, corner, position, cells=[4] * 3 if odd else (4, 4, 4), comm=comm)
+    alike: dict[str, Any] = {"cells": [4] * 3 if odd else (4, 4, 4), "comm": comm}
+    SharedWorld.create([mesh], (0,) * 3, corner, position + comm.rank, **alike)
     with pytest.raises(ValueError, match="^meshes: rank 0 has .*, rank 1 has"):
         other = pgccd.Mesh(mesh.vertices * 2.0, mesh.faces)
         SharedWorld.create([other if odd else mesh], (0.0,) * 3, (8.0,) * 3, position, comm=comm)
@@ -238,7 +239,7 @@ def test_ranks_that_disagree_fail_together(ranks: World) -> None:
 
 
 def move_differently(comm: Comm) -> str:
-    mesh, still = crowds()["one body"].meshes[0], torch.zeros((1, 3)).double()
+    mesh, still = crowds()["one body"].meshes[0], torch.full((1, 3), 1.0 + comm.rank).double()
     upright = torch.tensor([[1.0, 0.0, 0.0, 0.0]]).double()
     world = SharedWorld.create([mesh], (0.0,) * 3, (8.0,) * 3, still, comm=comm)
     motion: Any = pgccd.RigidMotion(still, upright, still, upright)

@@ -47,15 +47,19 @@ class Segments:
     def repeat(self, own: Columns) -> Columns:
         """The columns of the bodies of all segments, concatenated."""
         bodies, device = len(own["id"]), own["id"].device
-        columns = {name: column.repeat(self.count) for name, column in own.items()}
+        columns = self.repeat_rows(own)
         segment = torch.arange(self.count, device=device).repeat_interleave(bodies)
         columns["id"] = columns["id"] + self.ids * segment
         world = columns.get("world", torch.zeros(len(segment), dtype=torch.int32, device=device))
         columns["world"] = world + (self.worlds * segment).to(torch.int32)
         return columns
 
+    def repeat_rows(self, columns: Columns) -> Columns:
+        """Columns (N, ...) of bodies, for the bodies of all segments."""
+        return {name: torch.cat([column] * self.count) for name, column in columns.items()}
+
     def contacts_for_owners(
-        self, comm: Comm, found: Share, report: narrow.Report
+        self, comm: Comm, found: Share, report: narrow.Report, payload: Columns
     ) -> TrajectoryContacts | CollidingPairs:
         """The contacts of the bodies that this rank owns, as `pgccd.detect` returns them for a trajectory.
 
@@ -63,10 +67,11 @@ class Segments:
             comm: between the ranks.
             found: contacts of the bodies of all segments by `report`; for "earliest", the first contacts.
             report: as for `pgccd.detect`.
+            payload: columns of the bodies of all segments that contacts carry.
         """
         if report == "earliest":
-            return self._of(earliest_for_all(comm, found, self.ids))
-        contacts = self._of(tell_owners(found))
+            return self._of(earliest_for_all(comm, found, self.ids, payload))
+        contacts = self._of(tell_owners(found, payload))
         if report == "all":
             return contacts
         # Stable: the first segment of each pair comes first.
@@ -85,8 +90,9 @@ class Segments:
         columns["pairs"] = contacts.pairs - self.ids * segment[:, None]
         if isinstance(contacts, CollidingPairs):
             colliding = CollidingPairs(**columns)
-            colliding._is_of_rank = contacts._is_of_rank
+            colliding._is_of_rank, colliding.payload = contacts._is_of_rank, contacts.payload
             return colliding
         found = TrajectoryContacts(**columns, segment=segment, time=time_along(segment, contacts.toi, self.count))
         found._is_earliest, found._is_of_rank = contacts._is_earliest, contacts._is_of_rank
+        found.payload = contacts.payload
         return found
