@@ -194,7 +194,10 @@ def calls(folder: Path) -> dict[str, Call]:
         ),
         # The ids have been used after the first call.
         "distributed.World.add": Call(
-            world.add, added, dict.fromkeys(added, ("id",)) | {"position": ("id", "mesh_index", "group", "payload")}
+            world.add,
+            added,
+            dict.fromkeys(added, ("id",))
+            | {"position": ("id", "mesh_index", "group", "payload"), "mesh_index": ("id", "group")},
         ),
         "distributed.World.remove": Call(world.remove, {"ids": torch.tensor([1])}),
         "distributed.World.move": Call(world.move, {"position": motion.position_t0, "v": torch.ones(2, 3)}),
