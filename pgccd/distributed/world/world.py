@@ -273,8 +273,9 @@ class World(OwnBodies, Generic[R]):
         """Restores the newest checkpoint in a folder, see `save`. The steps that follow are bitwise identical to those
         of the saved world.
 
-        The checkpoint holds the bodies with all columns, the number of steps made, and the partition. The owners of all
-        parts of space are restored on the same number of ranks; another number starts with a uniform partition.
+        The checkpoint holds the bodies with all columns, the number of steps made, the next id, and the partition. The
+        owners of all parts of space are restored on the same number of ranks; another number starts with a uniform
+        partition.
 
         Args:
             folder: as for `save`.
