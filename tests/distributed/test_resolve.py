@@ -1,0 +1,191 @@
+"""`World.step(..., resolve=True)`: the bits of `pgccd.resolve` on any number of ranks, and no two bodies overlap."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from support.random_scenes import random_scene
+from support.ranks import RankPool
+from support.resolving import check_boxes
+from support.resolving_ranks import (
+    HALF,
+    Columns,
+    Crowds,
+    columns_of,
+    movable_of,
+    of_rank,
+    require_equal,
+    resolve_crowds,
+    resolve_scenes,
+)
+from support.same_bits import difference
+
+import pgccd
+from pgccd.distributed import BalanceOptions, Comm, DisagreementError
+from pgccd.distributed import World as SharedWorld
+
+SEEDS = [seed for seed in range(45) if "trajectory" not in random_scene(seed).kind]
+
+
+@functools.cache
+def alone(seed: int) -> tuple[Columns, Columns]:
+    """The resolution of a random scene by one process, and its contacts."""
+    made = random_scene(seed)
+    options = {name: made.arguments[name] for name in ("min_separation", "tolerance", "initial")}
+    scene, motion = made.scene(), made.motion()
+    resolved = pgccd.resolve(scene, motion, movable_of(made), **options)
+    hits = pgccd.detect(scene, motion, nonzero_toi=True, **options)
+    return columns_of(resolved), {"pairs": hits.pairs, "toi": hits.toi}
+
+
+@pytest.mark.filterwarnings("ignore:scene. it has one body")
+@pytest.mark.parametrize("size", [1, 2, 3, 4])
+def test_random_scenes(ranks: RankPool, size: int) -> None:
+    answers = ranks.run(size, resolve_scenes, SEEDS, "cpu")
+    seen = dict.fromkeys(("stopped", "touching_at_start", "unresolved", "rounds"), 0)
+    for k, seed in enumerate(SEEDS):
+        whole, hits = alone(seed)
+        for rank in answers:
+            own, found, told = rank[k]
+            scene = random_scene(seed)
+            rows = scene._rows(own) if scene.kind == "deforming" else None
+            said = difference(found, of_rank(whole, own, rows))
+            concerns = torch.isin(hits["pairs"], own).any(dim=1)
+            said = said or difference(told, {name: column[concerns] for name, column in hits.items()})
+            assert said is None, f"{scene}: {said}"
+        seen["stopped"] += int((whole["fraction"] < 1.0).sum())
+        seen["rounds"] += int(whole["rounds"] > 2)
+        for name in ("touching_at_start", "unresolved"):
+            seen[name] += len(whole[name])
+    assert min(seen.values()) > 0 and seen["stopped"] > 50, seen
+
+
+CROWDS, BODIES = 260, 8
+
+
+@pytest.mark.parametrize("deforming", [False, True])
+@pytest.mark.parametrize("seed", range(4))
+def test_crowds_do_not_overlap(ranks: RankPool, seed: int, deforming: bool) -> None:
+    """2,080 crowds: equal to one process, whose result an independent test of overlaps looks at."""
+    crowds = Crowds(seed, CROWDS, BODIES, deforming)
+    resolved = pgccd.resolve(crowds.scene, crowds.motion, crowds.movable)
+    require_equal(
+        ranks.run(1 + seed, resolve_crowds, seed, CROWDS, BODIES, deforming), columns_of(resolved), 8 * deforming
+    )
+    fraction = resolved.fraction
+    assert int(((fraction > 0.0) & (fraction < 1.0)).sum()) > CROWDS and resolved.rounds > 3
+    listed = {tuple(pair) for p in (resolved.touching_at_start, resolved.unresolved) for pair in p.tolist()}
+    free = [pair for pair in listed if not crowds.movable[list(pair)].all()]
+    assert len(free) > 20
+    if isinstance(crowds.motion, pgccd.RigidMotion):
+        # Side by side, so that boxes of two crowds are never near.
+        moved = crowds.motion.columns()
+        aside = torch.tensor(crowds.crowd)[:, None] * torch.tensor([60.0, 0.0, 0.0], dtype=torch.float64)
+        apart = pgccd.RigidMotion.from_rotation(
+            moved["position_t0"] + aside, moved["orientation_t0"], moved["position_t1"] + aside, moved["rotation"]
+        )
+        listed |= set(itertools.combinations(torch.nonzero(crowds.scene.static)[:, 0].tolist(), 2))  # not tested
+        assert check_boxes(HALF, apart, fraction, listed, times=7) > 1000
+        return
+    gaps, near = zip(*(crowds.gaps(fraction.numpy(), listed, t) for t in np.linspace(0.0, 1.0, 9)), strict=True)
+    assert min(gaps) > 1e-9 and sum(near) > 1000
+    # The check itself finds bodies that stop at their own toi while others go on.
+    own = pgccd.detect(crowds.scene, crowds.motion, nonzero_toi=True).first_toi("body").clamp(max=1.0)
+    assert crowds.gaps(torch.where(crowds.movable, own, 1.0).numpy(), listed, 1.0)[0] < 0.0
+
+
+def walk(comm: Comm, device: str) -> list[Any]:
+    """Steps in which boxes turn round where they are stopped, while they migrate and space is rebalanced: the bodies at
+    the end, and the ids of those that stopped in each step.
+    """
+    crowd = Crowds(9, 1, 40, deforming=False)
+    motion = crowd.motion.columns()
+    mine = torch.arange(40)[comm.rank :: comm.size]
+    columns = {
+        "q": motion["orientation_t0"],
+        "v": motion["position_t1"] - motion["position_t0"],
+        "w": motion["rotation"],
+    }
+    world = SharedWorld.create(
+        crowd.scene.meshes.meshes,
+        (0.0,) * 3,
+        (4.0,) * 3,
+        motion["position_t0"][mine].to(device),
+        id=mine.to(device),
+        payload={name: column[mine].to(device) for name, column in columns.items()},
+        comm=comm,
+        report="any",  # a resolution does not depend on it
+        balance=BalanceOptions("cost", start=0.0, goal=0.0, moving=0.0, deciding=0.0),
+    )
+    stopped = []
+    for _ in range(4):
+        at = world.payload
+        step = pgccd.RigidMotion.from_velocity(world.position, at["q"], 0.5 * at["v"], at["w"], dt=0.5)
+        resolved = world.step(step, resolve=True)
+        assert torch.equal(resolved.fraction < 1.0, resolved.stopped_by >= 0)
+        stopped.append(world.id[resolved.fraction < 1.0].tolist())
+        x, q = resolved.motion.at(1.0)
+        sign = torch.where(resolved.fraction < 1.0, -1.0, 1.0)[:, None]
+        world.move(x, q=q, v=sign * at["v"], w=sign * at["w"])
+    assert world.steps_made == 4
+    return [world.id.cpu(), world.position.cpu(), world.payload["q"].cpu(), stopped]
+
+
+def test_loops(ranks: RankPool) -> None:
+    expected = ranks.run(1, walk, "cpu")[0]
+    assert sum(map(len, expected[3])) > 30
+    for size in (2, 4):
+        answers = ranks.run(size, walk, "cpu")
+        id = torch.cat([answer[0] for answer in answers])
+        for column in (1, 2):
+            assert torch.equal(torch.cat([answer[column] for answer in answers])[id.argsort()], expected[column])
+        for step, ids in enumerate(expected[3]):
+            assert sorted(i for answer in answers for i in answer[3][step]) == ids
+
+
+def wrong_arguments(comm: Comm) -> None:
+    x, q = torch.zeros(1, 3, dtype=torch.float64), torch.tensor([[1.0, 0, 0, 0]])
+    world = SharedWorld.create([pgccd.Mesh.box([1.0] * 3)], (-1.0,) * 3, (1.0,) * 3, x + 3.0 * comm.rank, comm=comm)
+    motion = pgccd.RigidMotion.at_rest(world.position, q.expand(len(world.id), 4))
+    count = len(world.id)
+    for given, kind, message in (
+        ({"resolve": 1}, TypeError, "resolve: expected"),
+        ({"movable": [True] * count}, ValueError, "movable: can only be given with resolve=True"),
+        ({"resolve": True, "movable": [True] * (count + 1)}, ValueError, "movable: expected shape"),
+        ({"resolve": True, "movable": [1] * max(1, count)}, TypeError, "movable: expected bool"),
+    ):
+        with pytest.raises(kind, match=message):
+            world.step(motion, **given)
+
+
+def test_arguments(ranks: RankPool) -> None:
+    ranks.run(2, wrong_arguments)
+
+
+def different_kinds(comm: Comm) -> None:
+    x = torch.tensor([[3.0 * comm.rank, 0.0, 0.0]], dtype=torch.float64)
+    world = SharedWorld.create([pgccd.Mesh.box([1.0] * 3)], (-1.0,) * 3, (1.0,) * 3, x, comm=comm)
+    count = len(world.id)
+    motion = pgccd.RigidMotion.at_rest(world.position, torch.tensor([[1.0, 0, 0, 0]] * count).reshape(count, 4))
+    with pytest.raises(DisagreementError, match="resolve: rank 0 has True, rank 1 has False"):
+        world.step(motion, resolve=comm.rank == 0)
+
+
+def test_ranks_resolve_together(ranks: RankPool) -> None:
+    ranks.run(2, different_kinds)
+
+
+def no_bodies(comm: Comm) -> list[int]:
+    none = torch.zeros((0, 3), dtype=torch.float64)
+    world = SharedWorld.create([pgccd.Mesh.box([1.0] * 3)], (0.0,) * 3, (1.0,) * 3, none, comm=comm)
+    resolved = world.step(pgccd.RigidMotion.at_rest(none, torch.zeros(0, 4)), resolve=True)
+    return [len(resolved.fraction), len(resolved.touching_at_start), len(resolved.unresolved), resolved.rounds]
+
+
+def test_no_bodies(ranks: RankPool) -> None:
+    assert ranks.run(2, no_bodies) == [[0, 0, 0, 0]] * 2
