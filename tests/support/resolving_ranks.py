@@ -27,14 +27,18 @@ def movable_of(scene: RandomScene) -> Tensor:
     return torch.tensor(rng.uniform(size=len(scene.mesh_index)) < rng.choice([0.5, 1.0]))
 
 
-def columns_of(resolved: pgccd.Resolution[Any], bodies_of: Callable[[Tensor], Tensor] = lambda ids: ids) -> Columns:
-    """All values, on the CPU; of bodies that are named by ids their numbers."""
-    columns = {"fraction": resolved.fraction, "rounds": torch.tensor([resolved.rounds])}
+def columns_of(resolved: Any, bodies_of: Callable[[Tensor], Tensor] = lambda ids: ids) -> Columns:
+    """All values of a resolution, also of a trajectory, on the CPU; of bodies that are named by ids their numbers."""
+    columns = {"fraction": resolved.fraction.T, "rounds": torch.tensor([resolved.rounds])}
     by = resolved.stopped_by
     columns["stopped_by"] = torch.where(by < 0, by, bodies_of(by))
     columns |= {name: bodies_of(getattr(resolved, name)) for name in ("touching_at_start", "unresolved")}
-    columns |= {f"motion.{name}": column for name, column in resolved.motion.columns().items()}
-    return {name: column.cpu() for name, column in columns.items()}
+    if isinstance(resolved, pgccd.TrajectoryResolution):
+        poses = {"position": resolved.motion.position, "orientation": resolved.motion.orientation}
+        columns |= {f"motion.{name}": pose.transpose(0, 1) for name, pose in poses.items() if pose is not None}
+    else:
+        columns |= {f"motion.{name}": column for name, column in resolved.motion.columns().items()}
+    return {name: column.cpu().contiguous() for name, column in columns.items()}
 
 
 def of_rank(whole: Columns, bodies: Tensor, rows: Tensor | None = None) -> Columns:
@@ -61,8 +65,10 @@ def resolve_scenes(comm: Comm, seeds: Sequence[int], device: str) -> list[tuple[
         scene = random_scene(seed)
         world = world_of(comm, scene, device)
         own = body_of(world.id.cpu())
-        resolved = world.step(scene.motion(device, own), resolve=True, movable=movable_of(scene)[own])
-        hits = {"pairs": body_of(resolved.hits.pairs.cpu()), "toi": resolved.hits.toi.cpu()}
+        resolved: Any = world.step(scene.motion(device, own), resolve=True, movable=movable_of(scene)[own])
+        hits = {}
+        if not isinstance(resolved, pgccd.TrajectoryResolution):
+            hits = {"pairs": body_of(resolved.hits.pairs.cpu()), "toi": resolved.hits.toi.cpu()}
         answers.append((own, columns_of(resolved, body_of), hits))
     return answers
 

@@ -51,6 +51,7 @@ from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import PathKind, RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
 from pgccd.resolution.results import M
+from pgccd.resolution.trajectories import TrajectoryResolution, resolve_segments
 from pgccd.runtime.stages import StageClock
 
 R = TypeVar("R", bound=Contacts | CollidingPairs)
@@ -366,13 +367,17 @@ class World(Generic[R]):
     def step(
         self, motion: M, *, resolve: Literal[True], movable: Tensor | Sequence[bool] | None = None
     ) -> WorldResolution[M]: ...
+    @overload
+    def step(
+        self, motion: Trajectory, *, resolve: Literal[True], movable: Tensor | Sequence[bool] | None = None
+    ) -> TrajectoryResolution: ...
     def step(
         self,
         motion: RigidMotion | VertexMotion | Trajectory,
         *,
         resolve: bool = False,
         movable: Tensor | Sequence[bool] | None = None,
-    ) -> Contacts | CollidingPairs | WorldResolution[Any]:
+    ) -> Contacts | CollidingPairs | WorldResolution[Any] | TrajectoryResolution:
         """Finds the collisions of one step, or of all steps of a trajectory; or how far the bodies can move without
         any.
 
@@ -380,14 +385,16 @@ class World(Generic[R]):
             motion: of this rank's own bodies, in the order of `id`; of the same kind on all ranks.
             resolve: the same on all ranks. True: how far each body moves such that none meets another, by the rule of
                 `pgccd.resolve` and equal to its result to the bit; with the world's min_separation, tolerance and
-                initial, whatever its report. Not for a trajectory.
+                initial, whatever its report. A body that is stopped in a segment of a trajectory stays there.
             movable: with `resolve`, (N,) bool: the own bodies that may be stopped. Default: all.
 
         Returns:
             All contacts of this rank's own bodies, `pairs` in global ids i < j (i, i for a body with itself), sorted; a
             contact between bodies of two ranks is returned on both. With report="earliest", the first contact of the
             scene, on every rank. For a trajectory `TrajectoryContacts`, and with report="any" `CollidingPairs`, as from
-            `pgccd.detect`. `stats` are those of the pairs that this rank tested. With `resolve`, a `WorldResolution`.
+            `pgccd.detect`. `stats` are those of the pairs that this rank tested. With `resolve`, a
+            `WorldResolution`; of a trajectory a `pgccd.TrajectoryResolution`, of this rank's own bodies and in global
+            ids.
 
         Raises:
             TypeError: the motion is of another type.
@@ -419,16 +426,26 @@ class World(Generic[R]):
         share = self._search(self.id, self._current_scene(), motion, self.options)
         return earliest_for_all(self.comm, share) if self.options.report == "earliest" else tell_owners(share)
 
-    def _resolve(self, motion: Any, movable: Tensor | Sequence[bool] | None) -> WorldResolution[Any]:
-        if isinstance(motion, Trajectory):
-            raise TypeError("motion: a Trajectory cannot be resolved as a whole; resolve its segments one by one")
-        scene, fixed, clock = self._current_scene(), None, StageClock()
+    def _resolve(
+        self, motion: Any, movable: Tensor | Sequence[bool] | None
+    ) -> WorldResolution[Any] | TrajectoryResolution:
+        scene, fixed, steps_made = self._current_scene(), None, self.steps_made
         if movable is not None:
             fixed = bool_column(movable, "movable", scene.body_count, scene.device) == 0
-        whole = self._search(self.id, scene, motion, options_of_resolution(self.options))
-        decomposition, estimates = self._rank.decomposition, self._resolution_estimates
-        resolved = ResolvedStep(whole, scene, motion, fixed, decomposition, estimates, clock).resolve()
-        self._seconds += clock.work
+
+        def step(motion: RigidMotion | VertexMotion) -> WorldResolution[Any]:
+            whole, clock = self._search(self.id, scene, motion, options_of_resolution(self.options)), StageClock()
+            decomposition, estimates = self._rank.decomposition, self._resolution_estimates
+            resolved = ResolvedStep(whole, scene, motion, fixed, decomposition, estimates, clock).resolve()
+            self._seconds += clock.work
+            return resolved
+
+        if not isinstance(motion, Trajectory):
+            return step(motion)
+        require_agreement(self.comm, {"motion.segment_count": motion.segment_count})
+        require_rows(motion, self._meshes, scene.mesh_index)
+        resolved = resolve_segments(scene, motion, step)
+        self.steps_made = steps_made + 1
         return resolved
 
     def _current_scene(self) -> Scene:
