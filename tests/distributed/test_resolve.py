@@ -26,7 +26,7 @@ from support.resolving_ranks import (
 from support.same_bits import difference
 
 import pgccd
-from pgccd.distributed import BalanceOptions, Comm, DisagreementError
+from pgccd.distributed import BalanceOptions, CapturedWorld, Comm, DisagreementError
 from pgccd.distributed import World as SharedWorld
 
 SEEDS = range(40)
@@ -102,85 +102,115 @@ def test_crowds_do_not_overlap(ranks: RankPool, seed: int, deforming: bool) -> N
     assert crowds.gaps(torch.where(crowds.movable, own, 1.0).numpy(), listed, 1.0)[0] < 0.0
 
 
-def walk(comm: Comm, device: str) -> list[Any]:
-    """Steps in which boxes turn round where they are stopped, while they migrate and space is rebalanced: the bodies at
-    the end, and the ids of those that stopped in each step.
+def motion(bodies: Any) -> pgccd.RigidMotion:
+    at = bodies.payload
+    return pgccd.RigidMotion.from_velocity(bodies.position, at["q"], 0.5 * at["v"], at["w"], dt=0.5)
+
+
+def response(bodies: Any, shortened: pgccd.RigidMotion, fraction: torch.Tensor) -> dict[str, torch.Tensor]:
+    """Boxes turn round where they are stopped."""
+    position, q = shortened.at(1.0)
+    sign = torch.where(fraction < 1.0, -1.0, 1.0)[:, None]
+    return {"position": position, "q": q, **{name: sign * bodies.payload[name] for name in ("v", "w")}}
+
+
+def movable(bodies: Any) -> torch.Tensor:
+    return bodies.id % 7 != 0
+
+
+def walk(comm: Comm, device: str, captured: bool) -> list[Any]:
+    """Steps in which boxes migrate and space is rebalanced: the bodies at the end, and the ids of those that stopped in
+    each step.
     """
     crowd = Crowds(9, 1, 40, deforming=False)
-    motion = crowd.motion.columns()
+    start = crowd.motion.columns()
+    columns = {"q": start["orientation_t0"], "v": start["position_t1"] - start["position_t0"], "w": start["rotation"]}
     mine = torch.arange(40)[comm.rank :: comm.size]
-    columns = {
-        "q": motion["orientation_t0"],
-        "v": motion["position_t1"] - motion["position_t0"],
-        "w": motion["rotation"],
-    }
-    world = SharedWorld.create(
+    world: Any = SharedWorld.create(
         crowd.scene.meshes.meshes,
         (0.0,) * 3,
         (4.0,) * 3,
-        motion["position_t0"][mine].to(device),
+        start["position_t0"][mine].to(device),
         id=mine.to(device),
         payload={name: column[mine].to(device) for name, column in columns.items()},
         comm=comm,
-        report="any",  # a resolution does not depend on it
+        report="first" if captured else "any",  # a resolution does not depend on it
         balance=BalanceOptions("cost", start=0.0, goal=0.0, moving=0.0, deciding=0.0),
     )
     stopped = []
-    for _ in range(4):
-        at = world.payload
-        step = pgccd.RigidMotion.from_velocity(world.position, at["q"], 0.5 * at["v"], at["w"], dt=0.5)
-        resolved = world.step(step, resolve=True)
+    if captured:
+        loop = CapturedWorld(world, motion, response, resolve=True, movable=movable)
+        assert not any(step.replayed for step in loop.run(4))
+    for _ in range(0 if captured else 4):
+        resolved = world.step(motion(world), resolve=True, movable=movable(world))
         assert torch.equal(resolved.fraction < 1.0, resolved.stopped_by >= 0)
         stopped.append(world.id[resolved.fraction < 1.0].tolist())
-        x, q = resolved.motion.at(1.0)
-        sign = torch.where(resolved.fraction < 1.0, -1.0, 1.0)[:, None]
-        world.move(x, q=q, v=sign * at["v"], w=sign * at["w"])
+        world.move(**response(world, resolved.motion, resolved.fraction))
     assert world.steps_made == 4
     return [world.id.cpu(), world.position.cpu(), world.payload["q"].cpu(), stopped]
 
 
 def test_loops(ranks: RankPool) -> None:
-    expected = ranks.run(1, walk, "cpu")[0]
-    assert sum(map(len, expected[3])) > 30
-    for size in (2, 4):
-        answers = ranks.run(size, walk, "cpu")
+    expected = ranks.run(1, walk, "cpu", False)[0]
+    stopped = {body for ids in expected[3] for body in ids}
+    assert sum(map(len, expected[3])) > 30 and not any(body % 7 == 0 for body in stopped)
+    for size, captured in ((1, True), (2, True), (4, False)):
+        answers = ranks.run(size, walk, "cpu", captured)
         id = torch.cat([answer[0] for answer in answers])
         for column in (1, 2):
             assert torch.equal(torch.cat([answer[column] for answer in answers])[id.argsort()], expected[column])
-        for step, ids in enumerate(expected[3]):
+        for step, ids in enumerate([] if captured else expected[3]):
             assert sorted(i for answer in answers for i in answer[3][step]) == ids
 
 
+def one_box_a_rank(comm: Comm) -> tuple[Any, pgccd.RigidMotion]:
+    """A world of boxes at rest."""
+    x = torch.tensor([[3.0 * comm.rank, 0.0, 0.0]], dtype=torch.float64)
+    world = SharedWorld.create([pgccd.Mesh.box([1.0] * 3)], (-1.0,) * 3, (4.0, 1.0, 1.0), x, comm=comm)
+    upright = torch.tensor([[1.0, 0, 0, 0]], dtype=torch.float64).expand(len(world.id), 4)
+    return world, pgccd.RigidMotion.at_rest(world.position, upright)
+
+
 def wrong_arguments(comm: Comm) -> None:
-    x, q = torch.zeros(1, 3, dtype=torch.float64), torch.tensor([[1.0, 0, 0, 0]])
-    world = SharedWorld.create([pgccd.Mesh.box([1.0] * 3)], (-1.0,) * 3, (1.0,) * 3, x + 3.0 * comm.rank, comm=comm)
-    motion = pgccd.RigidMotion.at_rest(world.position, q.expand(len(world.id), 4))
+    world, still = one_box_a_rank(comm)
     count = len(world.id)
+    assert count == 1
     for given, kind, message in (
         ({"resolve": 1}, TypeError, "resolve: expected"),
-        ({"movable": [True] * count}, ValueError, "movable: can only be given with resolve=True"),
-        ({"resolve": True, "movable": [True] * (count + 1)}, ValueError, "movable: expected shape"),
-        ({"resolve": True, "movable": [1] * max(1, count)}, TypeError, "movable: expected bool"),
+        ({"movable": [True]}, ValueError, "movable: can only be given with resolve=True"),
+        ({"resolve": True, "movable": [True, True]}, ValueError, r"movable: expected shape \(1,\), got \(2,\)"),
+        ({"resolve": True, "movable": [1]}, TypeError, "movable: expected bool"),
     ):
         with pytest.raises(kind, match=message):
-            world.step(motion, **given)
+            world.step(still, **given)
+    for given, kind, message in (
+        ({"graph": True, "resolve": True}, ValueError, "graph: steps that are resolved cannot be replayed"),
+        ({"movable": movable}, ValueError, "movable: expected a function, with resolve=True"),
+        ({"movable": [True], "resolve": True}, ValueError, "movable: expected a function, with resolve=True"),
+        ({"resolve": 1}, TypeError, "resolve: expected"),
+    ):
+        with pytest.raises(kind, match=message):
+            CapturedWorld(world, motion, response, **given)
 
 
 def test_arguments(ranks: RankPool) -> None:
     ranks.run(2, wrong_arguments)
 
 
-def different_kinds(comm: Comm) -> None:
-    x = torch.tensor([[3.0 * comm.rank, 0.0, 0.0]], dtype=torch.float64)
-    world = SharedWorld.create([pgccd.Mesh.box([1.0] * 3)], (-1.0,) * 3, (1.0,) * 3, x, comm=comm)
-    count = len(world.id)
-    motion = pgccd.RigidMotion.at_rest(world.position, torch.tensor([[1.0, 0, 0, 0]] * count).reshape(count, 4))
+def disagreements(comm: Comm) -> None:
+    world, still = one_box_a_rank(comm)
     with pytest.raises(DisagreementError, match="resolve: rank 0 has True, rank 1 has False"):
-        world.step(motion, resolve=comm.rank == 0)
+        world.step(still, resolve=comm.rank == 0)
+    with pytest.raises(DisagreementError, match="resolve: rank 0 has False, rank 1 has True"):
+        CapturedWorld(world, motion, response, resolve=comm.rank == 1).run(1)
+    count = 2 + comm.rank
+    path = pgccd.Trajectory(still.position_t0.expand(count, 1, 3), still.orientation_t0.expand(count, 1, 4))
+    with pytest.raises(DisagreementError, match="motion.segment_count: rank 0 has 1, rank 1 has 2"):
+        world.step(path, resolve=True)
 
 
 def test_ranks_resolve_together(ranks: RankPool) -> None:
-    ranks.run(2, different_kinds)
+    ranks.run(2, disagreements)
 
 
 def no_bodies(comm: Comm) -> list[int]:

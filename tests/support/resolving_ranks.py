@@ -29,7 +29,7 @@ def movable_of(scene: RandomScene) -> Tensor:
 
 def columns_of(resolved: Any, bodies_of: Callable[[Tensor], Tensor] = lambda ids: ids) -> Columns:
     """All values of a resolution, also of a trajectory, on the CPU; of bodies that are named by ids their numbers."""
-    columns = {"fraction": resolved.fraction.T, "rounds": torch.tensor([resolved.rounds])}
+    columns = {"fraction": resolved.fraction.movedim(-1, 0), "rounds": torch.tensor([resolved.rounds])}
     by = resolved.stopped_by
     columns["stopped_by"] = torch.where(by < 0, by, bodies_of(by))
     columns |= {name: bodies_of(getattr(resolved, name)) for name in ("touching_at_start", "unresolved")}
