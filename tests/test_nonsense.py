@@ -187,7 +187,9 @@ def calls(folder: Path) -> dict[str, Call]:
         "distributed.World.create": Call(
             distributed.World.create, all_worlds, {"position": ("mesh_index", "group", "id"), "mesh_index": ("group",)}
         ),
-        "distributed.World.step": Call(world.step, {"motion": motion, "payload": ("v", "position")}),
+        "distributed.World.step": Call(
+            world.step, {"motion": motion, "payload": ("v", "position"), "resolve": False, "movable": None}
+        ),
         "distributed.World.rows_of": Call(world.rows_of, {"ids": pairs}),
         "distributed.World.sum_per_body": Call(
             world.sum_per_body, {"hits": hits, "values": torch.ones(len(hits), 2)}, {"hits": ("values",)}

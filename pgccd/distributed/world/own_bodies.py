@@ -8,14 +8,18 @@ from pgccd.detection.contacts import CollidingPairs, Contacts
 from pgccd.distributed.comm.exchange import Columns
 from pgccd.distributed.detection.report import first_toi_of, rows_of_own, sum_per_body
 from pgccd.distributed.halo.vertices import Vertices
-from pgccd.distributed.world.columns import require_ids
+from pgccd.distributed.world.columns import require_ids, scene_of
+from pgccd.geometry.mesh import MeshSet
+from pgccd.geometry.scene import Scene
 
 
 class OwnBodies:
     """Rows of `id`, `position`, `mesh_index` and `payload`, by ascending id. Nothing here sends messages."""
 
     columns: Columns
+    _meshes: MeshSet
     _vertices: Vertices | None
+    _scene: Scene | None = None
 
     @property
     def id(self) -> Tensor:
@@ -91,3 +95,9 @@ class OwnBodies:
             >>> velocity = world.payload["velocity"] + world.sum_per_body(hits, exchanged)
         """
         return sum_per_body(self.id, hits, values)
+
+    def _current_scene(self) -> Scene:
+        """The scene of this rank's own bodies, kept until bodies migrate."""
+        if self._scene is None or self._scene.mesh_index is not self.mesh_index:
+            self._scene = scene_of(self._meshes, self.columns)
+        return self._scene

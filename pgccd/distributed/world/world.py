@@ -27,7 +27,7 @@ from pgccd.distributed.detection.report import earliest_for_all, tell_owners
 from pgccd.distributed.detection.segments import Segments
 from pgccd.distributed.detection.share import Share
 from pgccd.distributed.halo.migrate import Census, migrate
-from pgccd.distributed.halo.vertices import Vertices, vertex_counts
+from pgccd.distributed.halo.vertices import Vertices
 from pgccd.distributed.launch.agreement import agree_on_step, together
 from pgccd.distributed.partition.balance import PAIR_COST, BalanceOptions, RankLoads
 from pgccd.distributed.partition.cut import DEFAULT_AXES, DEFAULT_CELLS, Cut
@@ -46,13 +46,28 @@ from pgccd.distributed.world.columns import (
 from pgccd.distributed.world.options import NewWorld, WorldOptions
 from pgccd.distributed.world.own_bodies import OwnBodies
 from pgccd.distributed.world.population import with_more, without
+from pgccd.distributed.world.resolve import (
+    ResolutionEstimates,
+    ResolvedStep,
+    WorldResolution,
+    options_of_resolution,
+    resolve_all,
+    vertices_of,
+)
 from pgccd.distributed.world.state import WorldState, agreed_partition, require_alike, state_given
+from pgccd.geometry.columns import bool_column
 from pgccd.geometry.mesh import Mesh
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import PathKind, RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
+from pgccd.resolution.results import M
+from pgccd.resolution.trajectories import TrajectoryResolution
 from pgccd.runtime.stages import StageClock
 
+#: Names of payload.
+Names = Collection[str]
+#: Which bodies may be stopped.
+Movable = Tensor | Sequence[bool] | None
 R = TypeVar("R", bound=Contacts | CollidingPairs)
 
 
@@ -99,8 +114,8 @@ class World(OwnBodies, Generic[R]):
         self.found: Share | None = None
         self.steps_made, self._seconds = state.steps_made, 0.0
         self.columns, self._vertices = state.columns, state.vertices
-        self._scene: Scene | None = None
         self.next_id = state.next_id
+        self._resolution_estimates = ResolutionEstimates()
 
     @overload
     @classmethod
@@ -336,17 +351,37 @@ class World(OwnBodies, Generic[R]):
         self._rank.partition = agreed_partition(self.comm, partition)
 
     @overload
-    def step(self, motion: RigidMotion | VertexMotion, *, payload: Collection[str] = ()) -> R: ...
-    @overload
-    def step(self: World[Contacts], motion: Trajectory, *, payload: Collection[str] = ()) -> TrajectoryContacts: ...
-    @overload
-    def step(self: World[CollidingPairs], motion: Trajectory, *, payload: Collection[str] = ()) -> CollidingPairs: ...
-    @overload
-    def step(self, motion: Trajectory, *, payload: Collection[str] = ()) -> TrajectoryContacts | CollidingPairs: ...
     def step(
-        self, motion: RigidMotion | VertexMotion | Trajectory, *, payload: Collection[str] = ()
-    ) -> Contacts | CollidingPairs:
-        """Finds the collisions of one step, or of all steps of a trajectory.
+        self, motion: RigidMotion | VertexMotion, *, payload: Names = (), resolve: Literal[False] = False
+    ) -> R: ...
+    @overload
+    def step(
+        self: World[Contacts], motion: Trajectory, *, payload: Names = (), resolve: Literal[False] = False
+    ) -> TrajectoryContacts: ...
+    @overload
+    def step(
+        self: World[CollidingPairs], motion: Trajectory, *, payload: Names = (), resolve: Literal[False] = False
+    ) -> CollidingPairs: ...
+    @overload
+    def step(
+        self, motion: Trajectory, *, payload: Names = (), resolve: Literal[False] = False
+    ) -> TrajectoryContacts | CollidingPairs: ...
+    @overload
+    def step(
+        self, motion: M, *, payload: Names = (), resolve: Literal[True], movable: Movable = None
+    ) -> WorldResolution[M]: ...
+    @overload
+    def step(self, motion: Trajectory, *, resolve: Literal[True], movable: Movable = None) -> TrajectoryResolution: ...
+    def step(
+        self,
+        motion: RigidMotion | VertexMotion | Trajectory,
+        *,
+        payload: Names = (),
+        resolve: bool = False,
+        movable: Movable = None,
+    ) -> Contacts | CollidingPairs | WorldResolution[Any] | TrajectoryResolution:
+        """Finds the collisions of one step, or of all steps of a trajectory; or how far the bodies can move without
+        any.
 
         A contact between bodies of two ranks is returned on both ranks, with the same bits in every column, `payload`
         included; a contact between two own bodies once. So both ranks compute the same impulse from it, if elementwise
@@ -356,13 +391,18 @@ class World(OwnBodies, Generic[R]):
         Args:
             motion: of this rank's own bodies, in the order of `id`; of the same kind on all ranks.
             payload: names of per-body payload, or "position" (at t = 0), that contacts carry; the same on all ranks.
-                They are sent with the ghosts.
+                They are sent with the ghosts. Not for a trajectory that is resolved, which has no contacts.
+            resolve: the same on all ranks. True: how far each body moves such that none meets another, by the rule of
+                `pgccd.resolve` and equal to its result to the bit; with the world's min_separation, tolerance and
+                initial, whatever its report. A body that is stopped in a segment of a trajectory stays there.
+            movable: with `resolve`, (N,) bool: the own bodies that may be stopped. Default: all.
 
         Returns:
             All contacts of this rank's own bodies, `pairs` in global ids i < j (i, i for a body with itself), sorted.
-            `payload[name]` are (K, 2, ...): of i, then of j, whichever ranks own them; bodies keep their values during
-            the step. For a trajectory `TrajectoryContacts`, and with report="any" `CollidingPairs`, as from
-            `pgccd.detect`. `stats` are those of the pairs that this rank tested.
+            `payload[name]` are (K, 2, ...): of i, then of j, whichever ranks own them. For a trajectory
+            `TrajectoryContacts`, and with report="any" `CollidingPairs`, as from `pgccd.detect`. `stats` are those of
+            the pairs that this rank tested. With `resolve`, a `WorldResolution`, whose `hits` carry the payload; of a
+            trajectory a `pgccd.TrajectoryResolution`, of this rank's own bodies and in global ids.
 
         Raises:
             TypeError: the motion is of another type, or `payload` no names.
@@ -373,14 +413,23 @@ class World(OwnBodies, Generic[R]):
             >>> hits = world.step(motion, payload=("velocity",))
             >>> of_i, of_j = hits.payload["velocity"].unbind(1)  # (K, 3) each
             >>> toi = world.first_toi(hits)
+            >>> resolved = world.step(motion, resolve=True)
+            >>> position, orientation = resolved.motion.at(1.0)
         """
         self.comm.guard.activity = "step"
 
         def settings() -> dict[str, Any]:
-            return {"motion": type(motion).__name__, "payload": payload_asked(payload, self.columns)}
+            arguments.flag(resolve, "resolve")
+            if movable is not None and not resolve:
+                raise ValueError("movable: can only be given with resolve=True")
+            asked = payload_asked(payload, self.columns)
+            if asked and resolve and isinstance(motion, Trajectory):
+                raise ValueError("payload: a trajectory that is resolved has no contacts to carry it")
+            return {"motion": type(motion).__name__, "resolve": resolve, "payload": asked}
 
-        asked = agree_on_step(self.comm, settings)["payload"]
-        carried = {name: self.columns[name] for name in asked}
+        carried = {name: self.columns[name] for name in agree_on_step(self.comm, settings)["payload"]}
+        if resolve:
+            return self._resolve(motion, movable, carried)
         if isinstance(motion, Trajectory):
             own = scene_columns(self.columns)
             require_rows(motion, self._meshes, own["mesh_index"])
@@ -396,28 +445,31 @@ class World(OwnBodies, Generic[R]):
             return earliest_for_all(self.comm, share, payload=carried)
         return tell_owners(share, carried)
 
-    def _current_scene(self) -> Scene:
-        """The scene of this rank's own bodies, kept until bodies migrate."""
-        if self._scene is None or self._scene.mesh_index is not self.mesh_index:
-            self._scene = scene_of(self._meshes, self.columns)
-        return self._scene
+    def _resolve(self, motion: Any, movable: Movable, carried: Columns) -> WorldResolution[Any] | TrajectoryResolution:
+        scene, fixed, steps_made = self._current_scene(), None, self.steps_made
+        if movable is not None:
+            fixed = bool_column(movable, "movable", scene.body_count, scene.device) == 0
+
+        def step(motion: RigidMotion | VertexMotion) -> WorldResolution[Any]:
+            clock, options = StageClock(), options_of_resolution(self.options)
+            whole = self._search(self.id, scene, motion, options, carried)
+            decomposition, estimates = self._rank.decomposition, self._resolution_estimates
+            resolved = ResolvedStep(whole, scene, motion, fixed, carried, decomposition, estimates, clock).resolve()
+            self._seconds += clock.work
+            return resolved
+
+        resolved = resolve_all(self.comm, scene, motion, step)
+        self.steps_made = steps_made + 1
+        return resolved
 
     def _search(
-        self,
-        id: Tensor,
-        scene: Scene,
-        motion: RigidMotion | VertexMotion,
-        options: SearchOptions,
-        carried: Columns,
+        self, id: Tensor, scene: Scene, motion: RigidMotion | VertexMotion, options: SearchOptions, carried: Columns
     ) -> Share:
         if not isinstance(motion, (RigidMotion, VertexMotion)):
             kinds = "a pgccd.RigidMotion, VertexMotion or Trajectory"
             raise TypeError(f"motion: expected {kinds}, got {arguments.describe(motion)}")
         require_rows(motion, self._meshes, scene.mesh_index)
-        vertices = None
-        if isinstance(motion, VertexMotion):
-            vertices = Vertices(motion.columns(), vertex_counts(self._meshes, scene.mesh_index))
-        elif motion.path != self.path:
+        if isinstance(motion, RigidMotion) and motion.path != self.path:
             raise ValueError(f"motion: its path is {motion.path!r}, the world's {self.path!r}")
         clock = StageClock()
         with clock.stage("plan"):
@@ -429,7 +481,7 @@ class World(OwnBodies, Generic[R]):
             options,
             clock,
             beside=lambda _: None,
-            vertices=vertices,
+            vertices=vertices_of(motion, scene),
         )
         clock.add(search_seconds(share.contacts.stats))
         self.found, self._seconds, self.steps_made = share, clock.work, self.steps_made + 1
