@@ -14,6 +14,7 @@ from support.documents import (
     PAGES,
     ROOT,
     blocks,
+    check_convex,
     check_loop,
     run_document,
     steps_recorded,
@@ -48,6 +49,8 @@ def test_documents(name: str, capsys: pytest.CaptureFixture[str], monkeypatch: p
     )
     if name in LOOPS:
         check_loop(name, steps, names)
+    if name == "08_impulses.py":
+        assert check_convex(steps[:20], names) > 1_000
 
 
 @pytest.mark.cuda

@@ -211,7 +211,8 @@ def calls(folder: Path) -> dict[str, Call]:
             | {"broad_phase": "auto", "path": "rigid", "overlap": True},
         ),
         "distributed.CapturedWorld": Call(
-            distributed.CapturedWorld, {"world": world, "motion": motion_of, "response": response_of}
+            distributed.CapturedWorld,
+            {"world": world, "motion": motion_of, "response": response_of, "resolve": False, "movable": None},
         ),
         "distributed.World.first_toi": Call(world.first_toi, {"hits": hits}),
     }

@@ -84,6 +84,13 @@ def test_random_scenes(device: torch.device) -> None:
         unstopped = resolved.stopped_by < 0
         rows = unstopped if made.kind == "trajectory" else unstopped[torch.repeat_interleave(made._counts().to(device))]
         assert torch.equal(whole.position[:, rows], motion.position[:, rows])
+        of_body = torch.arange(len(movable), device=device)
+        if made.kind != "trajectory":
+            of_body = torch.repeat_interleave(of_body, made._counts().to(device))
+        for pose in (whole.position, whole.orientation):
+            if pose is not None:  # a stopped body does not move on
+                stays = (resolved.fraction == 0.0)[:, of_body]
+                assert torch.equal(pose[1:][stays], pose[:-1][stays]), made
         seen["stopped"] += int((resolved.fraction[0] < 1.0).sum())
         seen["later"] += int(((resolved.fraction[1:] > 0.0) & (resolved.fraction[1:] < 1.0)).sum())
         seen["listed"] += len(listed)
