@@ -23,6 +23,7 @@ from pgccd.motion.rotation import integrate_orientation
 from pgccd.motion.trajectory import Trajectory
 from pgccd.resolution.resolve import resolve
 from pgccd.resolution.results import PaddedResolution, Resolution
+from pgccd.resolution.trajectories import TrajectoryResolution
 
 if _TYPE_CHECKING:
     from pgccd import about, baselines, distributed, files, sim, viz
@@ -54,6 +55,7 @@ __all__ = [
     "Status",
     "Trajectory",
     "TrajectoryContacts",
+    "TrajectoryResolution",
     "VertexMotion",
     "about",
     "baselines",

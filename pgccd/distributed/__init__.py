@@ -17,6 +17,7 @@ from pgccd.distributed.partition.bisection import Bisection
 from pgccd.distributed.partition.cells import Cells
 from pgccd.distributed.partition.interface import Partition
 from pgccd.distributed.world.captured import Bodies, CapturedWorld, WorldStep
+from pgccd.distributed.world.resolve import WorldResolution
 from pgccd.distributed.world.world import World
 
 __all__ = [
@@ -35,6 +36,7 @@ __all__ = [
     "RankFailureError",
     "TorchComm",
     "World",
+    "WorldResolution",
     "WorldStep",
     "choose_device",
     "connect",

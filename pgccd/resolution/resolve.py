@@ -23,13 +23,18 @@ from pgccd.detection.query import Query
 from pgccd.geometry.columns import bool_column
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
+from pgccd.motion.trajectory import Trajectory
 from pgccd.resolution.results import M, PaddedResolution, Resolution, union_of_pairs
 from pgccd.resolution.round_plan import RoundPlan
 from pgccd.resolution.rounds import Attempt, OneRank, resolve_collisions
 from pgccd.resolution.search import ShortenedSearch, at_rest, shortened
 from pgccd.resolution.stoppers import Stoppers
+from pgccd.resolution.trajectories import TrajectoryResolution, resolve_segments
 from pgccd.runtime.host_copy import HostCopy
 from pgccd.runtime.stages import StageClock
+
+# All of them are enqueued; from the fifth on each one stops a body for good.
+_MOST_ROUNDS = 1000
 
 
 class ResolveOptions(TypedDict, total=False):
@@ -53,6 +58,16 @@ def resolve(
 @overload
 def resolve(
     scene: Scene,
+    motion: Trajectory,
+    movable: Tensor | Sequence[bool] | None = None,
+    min_separation: float = 0.0,
+    *,
+    capacity: None = None,
+    **options: Unpack[ResolveOptions],
+) -> TrajectoryResolution: ...
+@overload
+def resolve(
+    scene: Scene,
     motion: M,
     movable: Tensor | Sequence[bool] | None = None,
     min_separation: float = 0.0,
@@ -63,7 +78,7 @@ def resolve(
 ) -> PaddedResolution[M]: ...
 def resolve(
     scene: Scene,
-    motion: M,
+    motion: M | Trajectory,
     movable: Tensor | Sequence[bool] | None = None,
     min_separation: float = 0.0,
     *,
@@ -72,7 +87,7 @@ def resolve(
     broad_phase: broad.BroadPhase = "auto",
     capacity: Capacity | None = None,
     rounds: int | None = None,
-) -> Resolution[M] | PaddedResolution[M]:
+) -> Resolution[M] | PaddedResolution[M] | TrajectoryResolution:
     """The fraction f_i of its path that each body can move such that no two bodies touch, body i on x_i(f_i t) for t in
     [0, 1]: the step that a loop may commit.
 
@@ -87,7 +102,8 @@ def resolve(
 
     Args:
         scene: the bodies; its filters and margins apply.
-        motion: their paths over one step, not a `Trajectory`. With `RigidMotion(path="linear")`, vertices of a stopped
+        motion: their paths over one step; or a `Trajectory`, whose segments are resolved one after the other: a body
+            that is stopped in one stays there. With `RigidMotion(path="linear")`, vertices of a stopped
             body move straight to its pose at f_i on the arc, see `RigidMotion.shortened`.
         movable: (N,) bool: the bodies that may be stopped. Default: all.
         min_separation: length >= 0; bodies at most this far apart touch, as for `detect`.
@@ -101,9 +117,9 @@ def resolve(
             one changes a body, the result is incomplete.
 
     Returns:
-        Resolution, on the scene's device; PaddedResolution if `capacity` is given: an incomplete one reads as fraction
-        0 for every body. On a GPU the host synchronises twice (once if no body is stopped), and again if a step exceeds
-        the capacities or the number of rounds of earlier ones.
+        Resolution, on the scene's device; of a trajectory TrajectoryResolution; PaddedResolution if `capacity` is
+        given: an incomplete one reads as fraction 0 for every body. On a GPU the host synchronises twice (once if no
+        body is stopped), and again if a step exceeds the capacities or the number of rounds of earlier ones.
 
     Raises:
         TypeError, ValueError: naming the argument; also if an input requires grad. A UserWarning names a scene whose
@@ -120,6 +136,15 @@ def resolve(
     if sizes is None and rounds is not None:
         raise ValueError("rounds: can only be given with a capacity; without one there are as many as needed")
     count = arguments.integer(8 if rounds is None else rounds, "rounds", 1, "a number of rounds >= 1")
+    if count > _MOST_ROUNDS:
+        raise ValueError(f"rounds: expected at most {_MOST_ROUNDS}, got {count}")
+    if isinstance(motion, Trajectory) and isinstance(scene, Scene):
+        if sizes is not None:
+            raise TypeError("motion: with a capacity, expected one step, got a Trajectory")
+        if scene.device != motion.device:
+            raise ValueError(f"motion: is on {motion.device}, the scene on {scene.device}")
+        options: ResolveOptions = {"tolerance": tolerance, "initial": initial, "broad_phase": broad_phase}
+        return resolve_segments(scene, motion, lambda step: resolve(scene, step, movable, min_separation, **options))
     bodies = MovingBodies.of(
         scene, motion, wait=sizes is None and isinstance(scene, Scene) and scene.device.type == "cpu"
     )

@@ -23,19 +23,12 @@ from pgccd.detection.capacity import COUNT_ROWS, BufferSizes, Counts
 from pgccd.detection.passes import SearchPass, pairs_of_rounds, search_seconds
 from pgccd.resolution.counts import GatheredCounts, Rows, SearchCounts
 from pgccd.resolution.round_plan import RoundPlan
+from pgccd.resolution.slowing import STOPPING_ROUND, SlowedBodies
 from pgccd.resolution.stoppers import Stoppers
 from pgccd.runtime.graph import conditional
 from pgccd.runtime.host_copy import HostCopy
 from pgccd.runtime.stages import StageClock
 
-# A body moves by this fraction of its toi: at the toi itself it may be within the tolerance of contact, which the next
-# step would report again.
-_APPROACH = 0.99
-# A body that could only move by less than this part of its step does not move. Otherwise the gap between bodies
-# pressed together (by a wall or a crowd) would shrink by the same factor in every step, until rounding closed it.
-_SMALLEST_PART = 0.01
-#: From this round on a colliding body does not move at all, which ends the iteration quickly.
-STOPPING_ROUND = 4
 # Rounds added at a time if those of the plan do not suffice.
 _MORE_ROUNDS = 2
 _CONTACTS = COUNT_ROWS["contacts"]
@@ -199,14 +192,16 @@ class Attempt:
 
     def __post_init__(self) -> None:
         self._device = self.passes[0].bodies.device
-        #: (N,) float64: the part of the step that each body moves.
-        self.fraction = torch.ones(self.body_count, dtype=torch.float64, device=self._device)
-        self._first = torch.full_like(self.fraction, torch.inf)
-        self._changed = torch.empty(self.body_count, dtype=torch.uint8, device=self._device)
+        self._bodies = SlowedBodies(self.body_count, self._device, self.fixed, self.stoppers, self.stopping_round)
         #: Capacity of each round.
         self.capacities: list[BufferSizes] = []
         if self.stoppers is not None:
             self.stoppers.clear()
+
+    @property
+    def fraction(self) -> Tensor:
+        """(N,) float64: the part of the step that each body moves."""
+        return self._bodies.fraction
 
     def begin(self, change: Tensor | None = None) -> Tensor:
         """Slows down the bodies that collide in the whole step. Returns (1,) int64, `change` if given, of 0: nonzero if
@@ -216,10 +211,10 @@ class Attempt:
             change = torch.zeros(1, dtype=torch.int64, device=self._device)
         found = [search_pass.first_contacts() for search_pass in self.passes]
         for pairs, toi in found:
-            ops.simulate_first_toi(self._first, None, pairs, toi)
+            ops.simulate_first_toi(self._bodies.first, None, pairs, toi)
         if self.stoppers is not None:
             for pairs, toi in found:
-                self.stoppers.find(pairs, toi, self._first)
+                self.stoppers.find(pairs, toi, self._bodies.first)
         self._slow_down(0, change)
         return change
 
@@ -257,7 +252,8 @@ class Attempt:
         """
         capacity = self.plan.capacity(len(self.capacities))
         self.capacities.append(capacity)
-        counts = self.search.start_round(self._changed, self.fraction, capacity, self._first)
+        bodies = self._bodies
+        counts = self.search.start_round(bodies.changed, bodies.fraction, capacity, bodies.first)
         found = counts[_CONTACTS : _CONTACTS + 1] if anywhere is not None else None
         self._slow_down(len(self.capacities), change, found, anywhere)
         return counts
@@ -265,14 +261,8 @@ class Attempt:
     def _slow_down(
         self, round: int, change: Tensor, found: Tensor | None = None, anywhere: Tensor | None = None
     ) -> None:
-        self.exchange.share(self._first, found, anywhere)
-        if self.fixed is not None:
-            self._first.masked_fill_(self.fixed, torch.inf)
-        # Every round slows at least one body, and from `stopping_round` on stops it at t0, so the iteration terminates.
-        smallest = _SMALLEST_PART if round < self.stopping_round else torch.inf
-        ops.simulate_slow_all_down(self._first, self.fraction, self._changed, change, _APPROACH, smallest)
-        if self.stoppers is not None:
-            self.stoppers.note(self._changed)
+        self.exchange.share(self._bodies.first, found, anywhere)
+        self._bodies.slow_down(round, change)
 
     def run(self, summarise: Summarise) -> ResolvedStep | None:
         """Runs all rounds; None, on all ranks, if a rank exceeded a capacity, which has then grown."""

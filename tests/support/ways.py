@@ -174,13 +174,13 @@ def on_rank(comm: Comm, seeds: list[int], device: str) -> list[tuple[Tensor, Col
     for seed in seeds:
         scene = random_scene(seed)
         with _named(scene):
-            world = _world(comm, scene, device)
-            own = _body_of(world.id.cpu())
+            world = world_of(comm, scene, device)
+            own = body_of(world.id.cpu())
             answers.append((own, columns_of(world.step(scene.motion(device, own)))))
     return answers
 
 
-def _world(comm: Comm, scene: RandomScene, device: str) -> World:
+def world_of(comm: Comm, scene: RandomScene, device: str) -> World:
     """The scene's bodies distributed at random; for even seeds by cells with random owners."""
     generator = torch.Generator().manual_seed(scene.seed)
     position, count = scene.position(), len(scene.mesh_index)
@@ -215,14 +215,14 @@ def of_rank(scene: RandomScene, whole: Columns, own: Tensor, found: Columns) -> 
     if scene.arguments["report"] == "earliest":
         concerns[:] = True  # it is told to every rank
     expected = {name: column[concerns] for name, column in whole.items()}
-    return difference(found | {"pairs": _body_of(found["pairs"])}, expected)
+    return difference(found | {"pairs": body_of(found["pairs"])}, expected)
 
 
 def _id_of(body: Tensor) -> Tensor:
     return 5 * body + 2
 
 
-def _body_of(id: Tensor) -> Tensor:
+def body_of(id: Tensor) -> Tensor:
     return torch.div(id - 2, 5, rounding_mode="floor")
 
 

@@ -22,16 +22,26 @@ def tell_owners(found: Share) -> Contacts | CollidingPairs:
     Args:
         found: contacts of the pairs that this rank tested.
     """
-    columns = _in_global_ids(found)
-    owner = found.held.owner[found.contacts.pairs]
+    columns: dict[str, Any] = columns_for_owners(found, found.contacts.columns)
+    told = type(found.contacts)(**columns, stats=found.contacts.stats)
+    told._is_of_rank = found.held.route.neighbours.comm.size > 1
+    return told
+
+
+def columns_for_owners(found: Share, columns: Columns) -> Columns:
+    """Columns (K, ...) of the contacts of the bodies that this rank owns, as `tell_owners` returns contacts.
+
+    Args:
+        found: contacts of the pairs that this rank tested.
+        columns: of these; "pairs" as rows of the held bodies.
+    """
+    owner = found.held.owner[columns["pairs"]]
+    columns = columns | {"pairs": found.held.id[columns["pairs"]]}
     everything = torch.arange(len(owner), device=owner.device)
     second = everything[owner[:, 0] != owner[:, 1]]
     rows, destination = torch.cat([everything, second]), torch.cat([owner[:, 0], owner[second, 1]])
     received = make_route(found.held.route.neighbours, rows, destination).forward(columns).wait()
-    ordered: dict[str, Any] = take_rows(received, _canonical_order(received["pairs"]))
-    told = type(found.contacts)(**ordered, stats=found.contacts.stats)
-    told._is_of_rank = found.held.route.neighbours.comm.size > 1
-    return told
+    return take_rows(received, _canonical_order(received["pairs"]))
 
 
 def earliest_for_all(comm: Comm, found: Share, ids: int | None = None) -> Contacts:
@@ -81,9 +91,16 @@ def first_toi_of(id: Tensor, hits: Contacts | CollidingPairs) -> Tensor:
         raise TypeError(f"hits: expected pgccd.Contacts, got {arguments.describe(hits)}")
     first = torch.full((len(id),), torch.inf, dtype=torch.float64, device=id.device)
     time = hits.time if isinstance(hits, TrajectoryContacts) else hits.toi
-    bodies, toi = hits.pairs.reshape(-1), time.repeat_interleave(2)
-    row = torch.searchsorted(id, bodies).clamp_(max=max(0, len(id) - 1))
-    own = id[row] == bodies if len(id) else torch.zeros_like(bodies, dtype=torch.bool)
+    row, toi = rows_of_own(id, hits.pairs.reshape(-1)), time.repeat_interleave(2)
+    own = row >= 0
     first = first.scatter_reduce(0, row[own], toi[own], "amin")
     # Others may have contacts as early as the earliest one of the scene, but no earlier ones.
     return first.clamp(max=time.amin()) if hits._is_earliest and len(time) else first
+
+
+def rows_of_own(id: Tensor, bodies: Tensor) -> Tensor:
+    """Rows of bodies of these ids (...) among the ids (N,), which ascend; -1 for others."""
+    if not len(id):
+        return torch.full_like(bodies, -1)
+    row = torch.searchsorted(id, bodies.contiguous()).clamp_(max=len(id) - 1)
+    return torch.where(id[row] == bodies, row, -1)

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TypeVar
 
 import torch
@@ -28,6 +28,7 @@ from pgccd.distributed.halo.sizes import HaloSizes
 from pgccd.distributed.halo.vertices import Vertices, vertex_counts
 from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.distributed.partition.rebalancing import Places
+from pgccd.resolution.search import has_changed, select_rows
 from pgccd.runtime.host_copy import HostCopy
 from pgccd.runtime.side_stream import SideStream
 from pgccd.runtime.stages import StageClock
@@ -107,6 +108,7 @@ def search_share(
     clock: StageClock | None = None,
     discard: Tensor | None = None,
     slack: float = PASS_SLACK,
+    changed: Tensor | None = None,
 ) -> tuple[Share, T]:
     """Sends ghosts, and starts the search of this rank's share of pairs.
 
@@ -126,6 +128,7 @@ def search_share(
         vertices: of the own bodies, if they deform; sizes are exact then.
         clock: records stage times.
         discard, slack: see `find_pass`.
+        changed: (N,) uint8: only pairs with a marked body are searched, of this rank or of another. Default: all pairs.
 
     Returns:
         The share, and the result of `beside`.
@@ -145,6 +148,8 @@ def search_share(
     def stage(name: str) -> AbstractContextManager[None]:
         return nullcontext() if clock is None else clock.stage(name)
 
+    if changed is not None:
+        own = own | {"changed": changed}
     halo = Halo(decomposition, own, bodies, distances, sizes, synchronises)
     with stage("halo"):
         halo.find_boundary()
@@ -160,6 +165,7 @@ def search_share(
             bodies,
             options.query,
             options.broad_phase,
+            select=None if changed is None else partial(_with_changed, changed),
             discard=discard,
             estimate=estimates.own,
             slack=slack,
@@ -197,9 +203,14 @@ def search_share(
                 both = Vertices.join(vertices, ghost_vertices).take(rows)
             at_boundary = _at_boundary(bodies, ghosts, rows, both, is_padded=not synchronises)
 
+            of_rows = None
+            if changed is not None:
+                of_rows = torch.cat([changed, held.ghosts["changed"], changed.new_zeros(1)])[rows]
+
             def owned(pairs: Tensor) -> tuple[Tensor, Tensor]:
                 spheres = at_boundary.swept_spheres
-                return ops.owned_pairs(pairs, rows, held.id, spheres, *distances, halo.reach, frame, owner, rank)
+                found = ops.owned_pairs(pairs, rows, held.id, spheres, *distances, halo.reach, frame, owner, rank)
+                return found if of_rows is None else _with_changed(of_rows, found[0])
 
             with_ghosts = find_pass(
                 at_boundary,
@@ -250,6 +261,10 @@ def _at_boundary(
         _leave_out(columns, rows < 0)
     columns |= {} if vertices is None else vertices.columns
     return MovingBodies.of_columns(bodies.scene.meshes, columns, bodies.linear_path)
+
+
+def _with_changed(changed: Tensor, pairs: Tensor) -> tuple[Tensor, Tensor]:
+    return select_rows(pairs, has_changed(pairs, changed))
 
 
 def _leave_out(columns: Columns, is_padding: Tensor) -> None:

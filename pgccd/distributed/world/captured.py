@@ -60,6 +60,8 @@ Motion = Callable[[Bodies], RigidMotion]
 #: search of any rank was incomplete: the position at the end of the step as "position", and other values of the payload
 #: by name.
 Response = Callable[[Bodies, RigidMotion, Tensor], Columns]
+#: The bodies (N,) bool that may be stopped in the next step.
+Movable = Callable[[Bodies], Tensor]
 
 
 @dataclass(frozen=True)
@@ -105,9 +107,14 @@ class CapturedWorld(RankSteps[WorldStep, _Committed, "_WorldGraph"]):
             name: "position" (N, 3) and any payload. It may only enqueue work, too. All ranks call it in each step, so
             it may reduce values over them.
         graph: whether steps are replayed, the same on all ranks. Default: if possible.
+        resolve: resolves each step, see `World.step`: `response` is passed the shortened motion, and instead of the
+            first toi the fraction (N,) float64 of its path that each body moves; 1 where nothing stopped it. Such steps
+            run eagerly.
+        movable: with `resolve`, called with the `Bodies`; returns (N,) bool, the bodies that may be stopped. Default:
+            all.
 
     Raises:
-        TypeError, ValueError: naming the argument.
+        TypeError, ValueError: naming the argument; `graph` is True with `resolve`.
 
     Example:
         >>> def motion(bodies):
@@ -123,7 +130,16 @@ class CapturedWorld(RankSteps[WorldStep, _Committed, "_WorldGraph"]):
         >>> steps = pgccd.distributed.CapturedWorld(world, motion, response).run(100)
     """
 
-    def __init__(self, world: World[Contacts], motion: Motion, response: Response, graph: bool | None = None) -> None:
+    def __init__(
+        self,
+        world: World[Contacts],
+        motion: Motion,
+        response: Response,
+        graph: bool | None = None,
+        *,
+        resolve: bool = False,
+        movable: Movable | None = None,
+    ) -> None:
         if not isinstance(world, World):
             raise TypeError(f"world: expected a pgccd.distributed.World, got {arguments.describe(world)}")
         if world.options.report != "first":
@@ -133,9 +149,16 @@ class CapturedWorld(RankSteps[WorldStep, _Committed, "_WorldGraph"]):
                 raise TypeError(f"{name}: expected a function, got {arguments.describe(function)}")
         if world.vertex_payload:
             raise ValueError("world: expected one without vertex_payload: its motion is rigid")
-        graph = can_replay(world.comm, world.id.device) if graph is None else graph
+        if not arguments.flag(resolve, "resolve") and movable is not None:
+            raise ValueError("movable: can only be given with resolve=True")
+        if movable is not None and not callable(movable):
+            raise TypeError(f"movable: expected a function, got {arguments.describe(movable)}")
+        if resolve and graph:
+            raise ValueError("graph: steps that are resolved cannot be replayed; leave it out, they run eagerly")
+        graph = not resolve and can_replay(world.comm, world.id.device) if graph is None else graph
         super().__init__(world._rank, graph and world.census.count > 0)
         self._world, self._motion, self._response = world, motion, response
+        self._resolve, self._movable = resolve, movable
 
     def run(self, steps: int) -> list[WorldStep]:
         """Runs steps. Afterwards `world` is in the final state, and each body is on its owner.
@@ -150,7 +173,10 @@ class CapturedWorld(RankSteps[WorldStep, _Committed, "_WorldGraph"]):
         steps = arguments.integer(steps, "steps", 0, "a number of steps >= 0")
         world, found = self._world, []
         functions = {"motion": code_of(self._motion), "response": code_of(self._response)}
-        require_agreement(world.comm, {"steps": steps, "graph": self._wants_graph, **functions})
+        if self._movable is not None:
+            functions["movable"] = code_of(self._movable)
+        choices = {"steps": steps, "graph": self._wants_graph, "resolve": self._resolve}
+        require_agreement(world.comm, choices | functions)
         world.comm.guard.activity = "step"
         if self._graph is not None and not self._load(self._graph, world.steps_made):
             self._graph = None
@@ -171,11 +197,16 @@ class CapturedWorld(RankSteps[WorldStep, _Committed, "_WorldGraph"]):
         bodies = _bodies(world.columns, torch.full((1,), index, device=world.id.device))
         motion = self._motion(bodies)
         _require_rigid(motion)
-        hits = world.step(motion)
+        if self._resolve:
+            movable = None if self._movable is None else self._movable(bodies)
+            resolved = world.step(motion, resolve=True, movable=movable)
+            motion, answer = resolved.motion, resolved.fraction
+        else:
+            answer = world.first_toi(world.step(motion))
         assert world.found is not None
         counts = torch.tensor([len(world.found.pairs), len(world.found.contacts)])
         pcs, contacts = world.comm.sum(counts).tolist()
-        world.move(**_with_position(self._response(bodies, motion, world.first_toi(hits))))
+        world.move(**_with_position(self._response(bodies, motion, answer)))
         return WorldStep(pcs, contacts, replayed=False)
 
     def _graph_of(self, index: int, decomposition: Decomposition, sizes: HaloSizes, rows: int) -> _WorldGraph:

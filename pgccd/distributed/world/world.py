@@ -27,7 +27,7 @@ from pgccd.distributed.detection.report import earliest_for_all, first_toi_of, t
 from pgccd.distributed.detection.segments import Segments
 from pgccd.distributed.detection.share import Share
 from pgccd.distributed.halo.migrate import Census, migrate
-from pgccd.distributed.halo.vertices import Vertices, vertex_counts
+from pgccd.distributed.halo.vertices import Vertices
 from pgccd.distributed.launch.agreement import require_agreement, together
 from pgccd.distributed.partition.balance import PAIR_COST, BalanceOptions, RankLoads
 from pgccd.distributed.partition.cut import DEFAULT_AXES, DEFAULT_CELLS, Cut
@@ -37,11 +37,21 @@ from pgccd.distributed.steps.rank import Rank
 from pgccd.distributed.world.checkpoint import load_state, save_state
 from pgccd.distributed.world.columns import columns_to_send, new_values, require_rows, scene_columns, scene_of
 from pgccd.distributed.world.options import NewWorld, WorldOptions
+from pgccd.distributed.world.resolve import (
+    ResolutionEstimates,
+    ResolvedStep,
+    WorldResolution,
+    options_of_resolution,
+    vertices_of,
+)
 from pgccd.distributed.world.state import WorldState, agreed_partition, require_alike, state_given
+from pgccd.geometry.columns import bool_column
 from pgccd.geometry.mesh import Mesh
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import PathKind, RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
+from pgccd.resolution.results import M
+from pgccd.resolution.trajectories import TrajectoryResolution, resolve_segments
 from pgccd.runtime.stages import StageClock
 
 R = TypeVar("R", bound=Contacts | CollidingPairs)
@@ -90,6 +100,7 @@ class World(Generic[R]):
         self.steps_made, self._seconds = state.steps_made, 0.0
         self.columns, self._vertices = state.columns, state.vertices
         self._scene: Scene | None = None
+        self._resolution_estimates = ResolutionEstimates()
 
     @overload
     @classmethod
@@ -345,24 +356,45 @@ class World(Generic[R]):
         return {name[1:]: column for name, column in columns.items()}
 
     @overload
-    def step(self, motion: RigidMotion | VertexMotion) -> R: ...
+    def step(self, motion: RigidMotion | VertexMotion, *, resolve: Literal[False] = False) -> R: ...
     @overload
-    def step(self: World[Contacts], motion: Trajectory) -> TrajectoryContacts: ...
+    def step(self: World[Contacts], motion: Trajectory, *, resolve: Literal[False] = False) -> TrajectoryContacts: ...
     @overload
-    def step(self: World[CollidingPairs], motion: Trajectory) -> CollidingPairs: ...
+    def step(self: World[CollidingPairs], motion: Trajectory, *, resolve: Literal[False] = False) -> CollidingPairs: ...
     @overload
-    def step(self, motion: Trajectory) -> TrajectoryContacts | CollidingPairs: ...
-    def step(self, motion: RigidMotion | VertexMotion | Trajectory) -> Contacts | CollidingPairs:
-        """Finds the collisions of one step, or of all steps of a trajectory.
+    def step(self, motion: Trajectory, *, resolve: Literal[False] = False) -> TrajectoryContacts | CollidingPairs: ...
+    @overload
+    def step(
+        self, motion: M, *, resolve: Literal[True], movable: Tensor | Sequence[bool] | None = None
+    ) -> WorldResolution[M]: ...
+    @overload
+    def step(
+        self, motion: Trajectory, *, resolve: Literal[True], movable: Tensor | Sequence[bool] | None = None
+    ) -> TrajectoryResolution: ...
+    def step(
+        self,
+        motion: RigidMotion | VertexMotion | Trajectory,
+        *,
+        resolve: bool = False,
+        movable: Tensor | Sequence[bool] | None = None,
+    ) -> Contacts | CollidingPairs | WorldResolution[Any] | TrajectoryResolution:
+        """Finds the collisions of one step, or of all steps of a trajectory; or how far the bodies can move without
+        any.
 
         Args:
             motion: of this rank's own bodies, in the order of `id`; of the same kind on all ranks.
+            resolve: the same on all ranks. True: how far each body moves such that none meets another, by the rule of
+                `pgccd.resolve` and equal to its result to the bit; with the world's min_separation, tolerance and
+                initial, whatever its report. A body that is stopped in a segment of a trajectory stays there.
+            movable: with `resolve`, (N,) bool: the own bodies that may be stopped. Default: all.
 
         Returns:
             All contacts of this rank's own bodies, `pairs` in global ids i < j (i, i for a body with itself), sorted; a
             contact between bodies of two ranks is returned on both. With report="earliest", the first contact of the
             scene, on every rank. For a trajectory `TrajectoryContacts`, and with report="any" `CollidingPairs`, as from
-            `pgccd.detect`. `stats` are those of the pairs that this rank tested.
+            `pgccd.detect`. `stats` are those of the pairs that this rank tested. With `resolve`, a
+            `WorldResolution`; of a trajectory a `pgccd.TrajectoryResolution`, of this rank's own bodies and in global
+            ids.
 
         Raises:
             TypeError: the motion is of another type.
@@ -371,9 +403,16 @@ class World(Generic[R]):
         Example:
             >>> hits = world.step(motion)
             >>> toi = world.first_toi(hits)
+            >>> resolved = world.step(motion, resolve=True)
+            >>> position, orientation = resolved.motion.at(1.0)
         """
+        arguments.flag(resolve, "resolve")
+        if movable is not None and not resolve:
+            raise ValueError("movable: can only be given with resolve=True")
         if self.found is None:  # the first step
-            require_agreement(self.comm, {"motion": type(motion).__name__})
+            require_agreement(self.comm, {"motion": type(motion).__name__, "resolve": resolve})
+        if resolve:
+            return self._resolve(motion, movable)
         if isinstance(motion, Trajectory):
             own = scene_columns(self.columns)
             require_rows(motion, self._meshes, own["mesh_index"])
@@ -387,6 +426,28 @@ class World(Generic[R]):
         share = self._search(self.id, self._current_scene(), motion, self.options)
         return earliest_for_all(self.comm, share) if self.options.report == "earliest" else tell_owners(share)
 
+    def _resolve(
+        self, motion: Any, movable: Tensor | Sequence[bool] | None
+    ) -> WorldResolution[Any] | TrajectoryResolution:
+        scene, fixed, steps_made = self._current_scene(), None, self.steps_made
+        if movable is not None:
+            fixed = bool_column(movable, "movable", scene.body_count, scene.device) == 0
+
+        def step(motion: RigidMotion | VertexMotion) -> WorldResolution[Any]:
+            whole, clock = self._search(self.id, scene, motion, options_of_resolution(self.options)), StageClock()
+            decomposition, estimates = self._rank.decomposition, self._resolution_estimates
+            resolved = ResolvedStep(whole, scene, motion, fixed, decomposition, estimates, clock).resolve()
+            self._seconds += clock.work
+            return resolved
+
+        if not isinstance(motion, Trajectory):
+            return step(motion)
+        require_agreement(self.comm, {"motion.segment_count": motion.segment_count})
+        require_rows(motion, self._meshes, scene.mesh_index)
+        resolved = resolve_segments(scene, motion, step)
+        self.steps_made = steps_made + 1
+        return resolved
+
     def _current_scene(self) -> Scene:
         """The scene of this rank's own bodies, kept until bodies migrate."""
         if self._scene is None or self._scene.mesh_index is not self.mesh_index:
@@ -398,10 +459,7 @@ class World(Generic[R]):
             kinds = "a pgccd.RigidMotion, VertexMotion or Trajectory"
             raise TypeError(f"motion: expected {kinds}, got {arguments.describe(motion)}")
         require_rows(motion, self._meshes, scene.mesh_index)
-        vertices = None
-        if isinstance(motion, VertexMotion):
-            vertices = Vertices(motion.columns(), vertex_counts(self._meshes, scene.mesh_index))
-        elif motion.path != self.path:
+        if isinstance(motion, RigidMotion) and motion.path != self.path:
             raise ValueError(f"motion: its path is {motion.path!r}, the world's {self.path!r}")
         self.comm.guard.activity = "step"
         clock = StageClock()
@@ -414,7 +472,7 @@ class World(Generic[R]):
             options,
             clock,
             beside=lambda _: None,
-            vertices=vertices,
+            vertices=vertices_of(motion, scene),
         )
         clock.add(search_seconds(share.contacts.stats))
         self.found, self._seconds, self.steps_made = share, clock.work, self.steps_made + 1

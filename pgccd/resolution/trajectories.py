@@ -1,0 +1,119 @@
+"""Resolution of trajectories: segment by segment; a body that is stopped stays where it is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from pgccd.geometry.scene import Scene
+from pgccd.motion.paths import RigidMotion, VertexMotion
+from pgccd.motion.rotation import integrate_orientation
+from pgccd.motion.trajectory import Trajectory
+from pgccd.resolution.results import Resolution
+from pgccd.resolution.search import body_of_vertex
+
+
+@dataclass(frozen=True, eq=False)
+class TrajectoryResolution:
+    """How far each of N bodies follows its trajectory of S segments such that none meets another.
+
+    Each segment is resolved like a step, given where the bodies are then: one that is stopped stays there, and its
+    later waypoints are void. Others may still be stopped by it.
+
+    Attributes:
+        motion: where the bodies go. A body that turns and is stopped within a segment follows its path there up to the
+            rounding of the orientation at which it stops.
+        segments: S motions, the same paths as they were tested: nothing touches on them except the pairs in
+            `touching_at_start` and `unresolved`.
+        fraction: (S, N) float64 in [0, 1], the part of each segment that each body moves: 1, then in one segment less
+            if it is stopped, then 0.
+        stopped_by: (N,) int64, index of the body whose contact stopped this one, as of `Resolution`; -1 for none.
+        touching_at_start: (P, 2) int64 pairs i <= j, sorted, that touch at the beginning of the first segment.
+        unresolved: (U, 2) int64 pairs i <= j, sorted, others that are not proven free in some segment; in each of them
+            a body may not be stopped.
+        rounds: number of detections in rounds, over all segments.
+    """
+
+    motion: Trajectory
+    segments: list[RigidMotion | VertexMotion]
+    fraction: Tensor
+    stopped_by: Tensor
+    touching_at_start: Tensor
+    unresolved: Tensor
+    rounds: int
+
+    def __repr__(self) -> str:
+        segments, bodies = self.fraction.shape
+        return f"TrajectoryResolution(bodies={bodies}, segments={segments}, rounds={self.rounds})"
+
+
+def resolve_segments(
+    scene: Scene,
+    trajectory: Trajectory,
+    resolve: Callable[[RigidMotion | VertexMotion], Resolution[Any]],
+) -> TrajectoryResolution:
+    """Resolves the segments of a trajectory of the bodies of a scene one by one, each by `resolve`."""
+    count, device = scene.body_count, scene.device
+    body = torch.arange(count, device=device) if trajectory.orientation is not None else body_of_vertex(scene)
+    stopped = torch.zeros(count, dtype=torch.bool, device=device)
+    by = torch.full((count,), -1, dtype=torch.int64, device=device)
+    waypoints = [tuple(pose[0] for pose in (trajectory.position, trajectory.orientation) if pose is not None)]
+    made: list[Resolution[Any]] = []
+    fractions = []
+    for segment in range(trajectory.segment_count):
+        step = _held(trajectory.segment(segment), waypoints[-1], stopped[body][:, None])
+        resolved = resolve(step)
+        made.append(resolved)
+        fractions.append(resolved.fraction.masked_fill(stopped, 0.0))
+        newly = ~stopped & (resolved.fraction < 1.0)
+        by, stopped = torch.where(newly, resolved.stopped_by, by), stopped | newly
+        given = (pose[segment + 1] for pose in (trajectory.position, trajectory.orientation) if pose is not None)
+        ends, rows = _end(resolved.motion), stopped[body][:, None]
+        waypoints.append(tuple(torch.where(rows, end, pose) for end, pose in zip(ends, given, strict=True)))
+    touching = made[0].touching_at_start
+    unresolved = [part.unresolved for part in made]
+    # Bodies that touch later without having been stopped apart: one of them could not be stopped.
+    unresolved += [_without(part.touching_at_start, touching) for part in made[1:]]
+    position, *orientation = (torch.stack(column) for column in zip(*waypoints, strict=True))
+    return TrajectoryResolution(
+        Trajectory(position, orientation[0] if orientation else None, trajectory.path),
+        [part.motion for part in made],
+        torch.stack(fractions),
+        by,
+        touching,
+        torch.cat(unresolved).unique(dim=0),
+        sum(part.rounds for part in made),
+    )
+
+
+def _held(step: RigidMotion | VertexMotion, now: tuple[Tensor, ...], stopped: Tensor) -> RigidMotion | VertexMotion:
+    """The step, in which the marked rows (K, 1) stay where they are `now`."""
+    if isinstance(step, VertexMotion):
+        return VertexMotion(*(torch.where(stopped, now[0], x) for x in (step.x_t0, step.x_t1)))
+    position, orientation = now
+    return RigidMotion.from_rotation(
+        torch.where(stopped, position, step.position_t0),
+        torch.where(stopped, orientation, step.orientation_t0),
+        torch.where(stopped, position, step.position_t1),
+        torch.where(stopped, 0.0, step.rotation),
+        step.path,
+    )
+
+
+def _end(step: RigidMotion | VertexMotion) -> tuple[Tensor, ...]:
+    """The poses, or vertices, at the end."""
+    if isinstance(step, VertexMotion):
+        return (step.x_t1,)
+    at_rest = (step.rotation == 0.0).all(dim=1, keepdim=True)
+    turned = integrate_orientation(step.orientation_t0, step.rotation)
+    return step.position_t1, torch.where(at_rest, step.orientation_t0, turned)
+
+
+def _without(pairs: Tensor, others: Tensor) -> Tensor:
+    """The pairs (P, 2) that are not among the others (Q, 2)."""
+    _, key = torch.cat([pairs, others]).unique(dim=0, return_inverse=True)
+    return pairs[~torch.isin(key[: len(pairs)], key[len(pairs) :])]
