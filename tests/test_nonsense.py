@@ -152,6 +152,13 @@ def calls(folder: Path) -> dict[str, Call]:
         ),
         "Capacity.of": Call(pgccd.Capacity.of, {"body_count": 9, "pair_count": 9, "self_vertex_count": 0}),
         "Capacity.times": Call(BufferSizes(9, 9).times, {"factor": 1.5}),
+        "resolve": Call(
+            pgccd.resolve,
+            {"scene": scene, "motion": motion, "movable": [True, False], "min_separation": 0.0, "tolerance": None}
+            | initial
+            | {"broad_phase": "auto", "capacity": pgccd.Capacity.of(9), "rounds": 3},
+            {"capacity": ("rounds",)},
+        ),
         "detect": Call(
             pgccd.detect,
             {"scene": scene, "motion": motion, "report": "first", **options, "broad_phase": "auto", "pairs": pairs}
@@ -188,7 +195,9 @@ def calls(folder: Path) -> dict[str, Call]:
             distributed.World.create, all_worlds, {"position": ("mesh_index", "group", "id"), "mesh_index": ("group",)}
         ),
         "distributed.World.step": Call(
-            world.step, {"motion": motion, "payload": ("v", "position"), "resolve": False, "movable": None}
+            world.step,
+            {"motion": motion, "payload": ("v", "position"), "resolve": True, "movable": [True, False]},
+            {"resolve": ("movable",)},
         ),
         "distributed.World.rows_of": Call(world.rows_of, {"ids": pairs}),
         "distributed.World.sum_per_body": Call(
@@ -212,7 +221,8 @@ def calls(folder: Path) -> dict[str, Call]:
         ),
         "distributed.CapturedWorld": Call(
             distributed.CapturedWorld,
-            {"world": world, "motion": motion_of, "response": response_of, "resolve": False, "movable": None},
+            {"world": world, "motion": motion_of, "response": response_of, "resolve": True, "movable": len},
+            {"resolve": ("movable",)},
         ),
         "distributed.World.first_toi": Call(world.first_toi, {"hits": hits}),
     }

@@ -34,6 +34,7 @@ def figure4(result: Result) -> Figure:
         above.set(title=f"{world}, {result['ranks']} ranks")
         below.set(xlabel="robots (700 triangles each)", yscale="log")
         below.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
+        below.set_xticks(sorted({row["robots"] for row in result["rows"]}))
         below.legend(frameon=False, fontsize=8)
     panels[0][0].set_ylabel("times as fast as PCCCD")
     panels[1][0].set_ylabel("milliseconds a step")

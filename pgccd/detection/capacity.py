@@ -73,7 +73,7 @@ class Capacity:
             leaf_pairs=12 * pairs + 12 * self_vertex_count,
             candidates=8 * pairs + 20 * self_vertex_count,
             open=3 * pairs + 8 * self_vertex_count,
-            launches=12 if self_vertex_count else 4,  # most of the work is in a few parts of such a body
+            launches=12 if self_vertex_count else 3,  # most of the work is in a few parts of such a body
         ).times(1.0)
 
     def times(self, factor: float) -> Capacity:
@@ -100,7 +100,7 @@ class BufferSizes(Capacity):
     leaf_pairs: int = 0  #: pairs of leaves
     candidates: int = 0  #: feature pairs
     open: int = 0  #: feature pairs left by quick rejection
-    launches: int = 4  #: traversal launches after the first
+    launches: int = 3  #: traversal launches after the first
     long_rows: bool = False  #: whether one body may have more than 32 partners of larger index
     #: whether a pair of bodies may have very many candidates: a few of its leaves are then searched first, and the time
     #: of a step is divided further for bodies that turn fast

@@ -21,12 +21,12 @@ class SearchCounts:
 
     Args:
         of_passes: (22,) int64 of each pass of the whole step: `pgccd.detection.capacity.Counts`.
-        of_rounds: the same of each round of collision resolution.
+        of_rounds: (rounds, 22): the same of each round of collision resolution; None if there was none.
     """
 
-    def __init__(self, of_passes: Sequence[Tensor], of_rounds: Sequence[Tensor]) -> None:
+    def __init__(self, of_passes: Sequence[Tensor], of_rounds: Tensor | None) -> None:
         self._of_passes = of_passes
-        self._in_rounds = torch.stack([torch.zeros_like(of_passes[0]), *of_rounds]).sum(dim=0)
+        self._in_rounds = torch.zeros_like(of_passes[0]) if of_rounds is None else of_rounds.sum(dim=0)
 
     def overflow(self) -> list[Tensor]:
         """Flags (1,) int64: if any is nonzero, a capacity was exceeded."""

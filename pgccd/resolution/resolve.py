@@ -33,6 +33,9 @@ from pgccd.resolution.trajectories import TrajectoryResolution, resolve_segments
 from pgccd.runtime.host_copy import HostCopy
 from pgccd.runtime.stages import StageClock
 
+# All of them are enqueued; from the fifth on each one stops a body for good.
+_MOST_ROUNDS = 1000
+
 
 class ResolveOptions(TypedDict, total=False):
     """Options of `resolve`."""
@@ -133,6 +136,8 @@ def resolve(
     if sizes is None and rounds is not None:
         raise ValueError("rounds: can only be given with a capacity; without one there are as many as needed")
     count = arguments.integer(8 if rounds is None else rounds, "rounds", 1, "a number of rounds >= 1")
+    if count > _MOST_ROUNDS:
+        raise ValueError(f"rounds: expected at most {_MOST_ROUNDS}, got {count}")
     if isinstance(motion, Trajectory) and isinstance(scene, Scene):
         if sizes is not None:
             raise TypeError("motion: with a capacity, expected one step, got a Trajectory")

@@ -23,7 +23,7 @@ from pgccd.detection.capacity import COUNT_ROWS, BufferSizes, Counts
 from pgccd.detection.passes import SearchPass, pairs_of_rounds, search_seconds
 from pgccd.resolution.counts import GatheredCounts, Rows, SearchCounts
 from pgccd.resolution.round_plan import RoundPlan
-from pgccd.resolution.slowing import SlowedBodies
+from pgccd.resolution.slowing import STOPPING_ROUND, SlowedBodies
 from pgccd.resolution.stoppers import Stoppers
 from pgccd.runtime.graph import conditional
 from pgccd.runtime.host_copy import HostCopy
@@ -141,6 +141,7 @@ def resolve_collisions(
     exchange: Exchange | None = None,
     fixed: Tensor | None = None,
     stoppers: Stoppers | None = None,
+    stopping_round: int = STOPPING_ROUND,
 ) -> ResolvedStep:
     """Finds the part of the step that each body moves.
 
@@ -157,13 +158,14 @@ def resolve_collisions(
         exchange: between ranks; default: a single rank.
         fixed: (N,) bool: bodies that move by their whole step, whatever they meet; default: none.
         stoppers: takes note of which body stopped which.
+        stopping_round: from this round on a colliding body does not move at all.
     """
     exchange = exchange or OneRank()
     clock.add({"traverse": 0.0, "narrow": 0.0})  # lists the stages in the order of work
     for search_pass in passes:
         search_pass.begin()
     while True:
-        attempt = Attempt(passes, body_count, search, plan, exchange, clock, fixed, stoppers)
+        attempt = Attempt(passes, body_count, search, plan, exchange, clock, fixed, stoppers, stopping_round)
         resolved = attempt.run(summarise)
         if resolved is not None:
             return resolved
@@ -186,10 +188,11 @@ class Attempt:
     clock: StageClock
     fixed: Tensor | None = None
     stoppers: Stoppers | None = None
+    stopping_round: int = STOPPING_ROUND
 
     def __post_init__(self) -> None:
         self._device = self.passes[0].bodies.device
-        self._bodies = SlowedBodies(self.body_count, self._device, self.fixed, self.stoppers)
+        self._bodies = SlowedBodies(self.body_count, self._device, self.fixed, self.stoppers, self.stopping_round)
         #: Capacity of each round.
         self.capacities: list[BufferSizes] = []
         if self.stoppers is not None:
@@ -200,11 +203,12 @@ class Attempt:
         """(N,) float64: the part of the step that each body moves."""
         return self._bodies.fraction
 
-    def begin(self) -> Tensor:
-        """Slows down the bodies that collide in the whole step. Returns (1,) int64: nonzero if a body of this rank
-        does.
+    def begin(self, change: Tensor | None = None) -> Tensor:
+        """Slows down the bodies that collide in the whole step. Returns (1,) int64, `change` if given, of 0: nonzero if
+        a body of this rank does.
         """
-        change = torch.zeros(1, dtype=torch.int64, device=self._device)
+        if change is None:
+            change = torch.zeros(1, dtype=torch.int64, device=self._device)
         found = [search_pass.first_contacts() for search_pass in self.passes]
         for pairs, toi in found:
             ops.simulate_first_toi(self._bodies.first, None, pairs, toi)
@@ -223,24 +227,24 @@ class Attempt:
             counts.append(self._make_round(change))
         return changes, counts
 
-    def make_rounds_of_replay(self, count: int, usual: int) -> tuple[Tensor, list[Tensor]]:
-        """As `make_rounds`, for a graph: replays skip superfluous rounds after the first `usual`; on several ranks only
-        if the exchange `shares_found`.
+    def run_replay(self, count: int, usual: int) -> tuple[Tensor, Tensor]:
+        """`begin` and `make_rounds`, for a graph: replays skip superfluous rounds after the first `usual`; on several
+        ranks only if the exchange `shares_found`. Returns the changes (1 + count,) and counts (count, 22).
         """
-        is_alone = self.exchange.ranks == 1
-        if not is_alone and not self.exchange.shares_found:
-            return self.make_rounds(count)
-        numbers = torch.zeros((2, count), dtype=torch.int64, device=self._device)
+        numbers = torch.zeros((2, 1 + count), dtype=torch.int64, device=self._device)
         changes, anywhere = numbers
         counts = torch.zeros((count, len(COUNT_ROWS)), dtype=torch.int64, device=self._device)
+        self.begin(changes[:1])
+        is_alone = self.exchange.ranks == 1
+        may_skip = is_alone or self.exchange.shares_found
         with ExitStack() as nested:
             for round in range(count):
-                this, before = slice(round, round + 1), slice(round - 1, round)
-                if round >= max(usual, 1):
+                this, before = slice(round + 1, round + 2), slice(round, round + 1)
+                if may_skip and round >= max(usual, 1):
                     # A body changes only if its rank, or another that holds it, found a contact.
                     nested.enter_context(conditional((changes if is_alone else anywhere)[before]))
-                counts[round].copy_(self._make_round(changes[this], anywhere[this]))
-        return changes, list(counts)
+                counts[round].copy_(self._make_round(changes[this], anywhere[this] if may_skip else None))
+        return changes, counts
 
     def _make_round(self, change: Tensor, anywhere: Tensor | None = None) -> Tensor:
         """Enqueues a round, which sets `change` (1,) to nonzero if it changed a body of this rank, and `anywhere` (1,)
@@ -278,7 +282,9 @@ class Attempt:
                 while at_sight and int(changes[-1]):
                     one_change, one_count = self.make_rounds(1)
                     changes, counts = torch.cat([changes, one_change]), counts + one_count
-            searched = SearchCounts([search_pass.counts() for search_pass in self.passes], counts)
+            searched = SearchCounts(
+                [search_pass.counts() for search_pass in self.passes], torch.stack(counts) if counts else None
+            )
             overflow = torch.cat(searched.overflow()).sum().reshape(1)
             mine = torch.cat([changes, overflow, *searched.values(), summarise(self.fraction)])
             with clock.stage("gather"):

@@ -12,8 +12,8 @@ _APPROACH = 0.99
 # A body that could only move by less than this part of its step does not move. Otherwise the gap between bodies
 # pressed together (by a wall or a crowd) would shrink by the same factor in every step, until rounding closed it.
 _SMALLEST_PART = 0.01
-# From this round on a colliding body does not move at all, which ends the iteration quickly.
-_STOPPING_ROUND = 4
+#: From this round on a colliding body does not move at all, which ends the iteration quickly.
+STOPPING_ROUND = 4
 
 
 class SlowedBodies:
@@ -24,10 +24,16 @@ class SlowedBodies:
         device: of the bodies.
         fixed: (N,) bool: bodies that move by their whole step, whatever they meet; default: none.
         stoppers: takes note of which body stopped which.
+        stopping_round: from this round on a colliding body does not move at all.
     """
 
     def __init__(
-        self, body_count: int, device: torch.device, fixed: Tensor | None = None, stoppers: Stoppers | None = None
+        self,
+        body_count: int,
+        device: torch.device,
+        fixed: Tensor | None = None,
+        stoppers: Stoppers | None = None,
+        stopping_round: int = STOPPING_ROUND,
     ) -> None:
         #: (N,) float64: the part of the step that each body moves.
         self.fraction = torch.ones(body_count, dtype=torch.float64, device=device)
@@ -35,7 +41,7 @@ class SlowedBodies:
         self.first = torch.full_like(self.fraction, torch.inf)
         #: (N,) uint8: bodies that the last round slowed down.
         self.changed = torch.ones(body_count, dtype=torch.uint8, device=device)
-        self._fixed, self._stoppers = fixed, stoppers
+        self._fixed, self._stoppers, self._stopping_round = fixed, stoppers, stopping_round
 
     def lower(self, body: Tensor, toi: Tensor) -> None:
         """Lowers `first` of the bodies (K,), rows or -1 for none, to toi (K,)."""
@@ -46,12 +52,12 @@ class SlowedBodies:
         there are any.
 
         Args:
-            round: 0 after the search of the whole step. Every round slows at least one body, and from `_STOPPING_ROUND`
-                on stops it at t0, so rounds end.
+            round: 0 after the search of the whole step. Every round slows at least one body, and from the stopping
+                round on stops it at t0, so rounds end.
         """
         if self._fixed is not None:
             self.first.masked_fill_(self._fixed, torch.inf)
-        smallest = _SMALLEST_PART if round < _STOPPING_ROUND else torch.inf
+        smallest = _SMALLEST_PART if round < self._stopping_round else torch.inf
         ops.simulate_slow_all_down(self.first, self.fraction, self.changed, change, _APPROACH, smallest)
         if self._stoppers is not None:
             self._stoppers.note(self.changed)

@@ -15,7 +15,7 @@ from pgccd.runtime.transaction import C, Replay, TransactionGraph
 _FEWEST_REPLAYS = 4
 
 #: Capacity of a graph relative to what the last step needed: capturing a larger graph takes as long as several steps.
-GRAPH_SLACK = 2.0
+GRAPH_SLACK = 1.5
 
 #: A step run eagerly.
 M = TypeVar("M")

@@ -84,7 +84,7 @@ class StepGraph(TransactionGraph[CommittedStep]):
         search: enqueues the searches of a planned step.
         plan: capacities of rounds.
         rounds: number of rounds of collision resolution.
-        usual_rounds: of these, how many every replay runs; see `Attempt.make_rounds_of_replay`.
+        usual_rounds: of these, how many every replay runs; see `Attempt.run_replay`.
         summarise: values to exchange besides those of `count_step`; default: none.
         rows: number of rows for robots; those with negative ids are padding. Default: no padding.
     """
@@ -120,14 +120,22 @@ class StepGraph(TransactionGraph[CommittedStep]):
         planned = model.plan(state, self._index)
         searches = self._search(planned, self._failed)
         exchange, robots = searches.exchange, len(searches.id)
-        attempt = Attempt(searches.passes, robots, searches.partners, self._plan, exchange, StageClock())
-        first_change = attempt.begin()
-        more_changes, of_rounds = attempt.make_rounds_of_replay(self.rounds, self._usual_rounds)
-        changes = torch.cat([first_change, more_changes])  # if the last one is nonzero, more rounds are needed
+        attempt = Attempt(
+            searches.passes,
+            robots,
+            searches.partners,
+            self._plan,
+            exchange,
+            StageClock(),
+            stopping_round=model.config.stopping_round,
+        )
+        # If the last of the changes is nonzero, more rounds are needed.
+        changes, of_rounds = attempt.run_replay(self.rounds, self._usual_rounds)
         counts = SearchCounts([search_pass.counts() for search_pass in searches.passes], of_rounds)
         failed = torch.cat([self._failed, changes[-1:], *counts.overflow(), *searches.failed]).sum().reshape(1)
         outcome = exchange.gather(torch.cat([failed, changes]))
-        self._failed.copy_(outcome[:, 0].amax(dim=0, keepdim=True).clamp(max=1))
+        anywhere = failed if exchange.ranks == 1 else outcome[:, 0].amax(dim=0, keepdim=True)
+        torch.clamp(anywhere, max=1, out=self._failed)
         fraction = attempt.fraction[: len(state)]
         plan = [getattr(planned, name) for name in PLANNED]
         ops.simulate_commit(list(state.columns.values()), plan, fraction, self._failed)
@@ -136,7 +144,10 @@ class StepGraph(TransactionGraph[CommittedStep]):
             summary.append(self._summarise(searches, state))
         self._index += 1 - self._failed
         self._passes, self._rank = len(searches.passes), exchange.rank
-        return torch.cat([outcome, exchange.gather(torch.cat([*counts.values(), *summary]))], dim=1)
+        values = [*counts.values(), *summary]
+        if exchange.ranks == 1:
+            return torch.cat([outcome[0], *values])[None]
+        return torch.cat([outcome, exchange.gather(torch.cat(values))], dim=1)
 
     def _committed(self, index: int, record: NDArray[np.int64], seconds: float) -> CommittedStep:
         begin = 2 + self.rounds

@@ -76,6 +76,9 @@ class StoredCheckpoint(Stored):
         path, content = self.folder / files.INDEX, self.header
         try:
             config = content["config"] | {"stay_steps": tuple(content["config"]["stay_steps"])}
+            missing = sorted({field.name for field in fields(ModelConfig)} - config.keys())
+            if missing:  # a default could change the run
+                raise ValueError(f"config: {', '.join(missing)} missing; written by another version of pgccd?")
             #: The run.
             self.run = Header(ModelConfig(**config), self.steps_made, content["steps_wanted"], content["meshes"])
             if type(self.run.steps_wanted) is not int or self.run.steps_wanted < 0:

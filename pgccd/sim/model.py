@@ -42,6 +42,9 @@ class ModelConfig:
         stay_steps: shortest and longest stay in a corner, steps.
         arrival: distance from the corner at which a robot has arrived, relative to the smallest box edge.
         crowd: a robot reversed within this distance of its corner, by other robots there, stays too.
+        stopping_round: >= 1. A step is resolved in rounds: robots stop before their first collision, and then those are
+            found that would collide with these. Of them, those found in this round or a later one stay where they are
+            for the step. With a larger number more of them move part of their way, and a step takes more rounds.
 
     Raises:
         ValueError: naming the field.
@@ -61,10 +64,11 @@ class ModelConfig:
     stay_steps: tuple[int, int] = (100, 300)
     arrival: float = 0.1
     crowd: float = 0.5
+    stopping_round: int = 4
 
     def __post_init__(self) -> None:
         arguments.choice(self.pattern, "pattern", PATTERNS)
-        for name, low, high in (("robots", 1, 2**31 - 1), ("seed", -(2**63), 2**63 - 1)):
+        for name, low, high in (("robots", 1, 2**31 - 1), ("seed", -(2**63), 2**63 - 1), ("stopping_round", 1, 2**31)):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
                 raise ValueError(f"{name}: expected an integer in [{low}, {high}], got {value!r}")

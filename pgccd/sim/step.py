@@ -116,7 +116,8 @@ def make_step(
             return count_step(after, fraction, before.id, *search_pass.first_contacts())
 
     partners = Partners(model, before.moving_columns, None, pairs_of_rounds([search_pass]))
-    resolved = resolve_collisions([search_pass], scene.body_count, partners, plan.rounds, summarise, clock)
+    given = [search_pass], scene.body_count, partners, plan.rounds, summarise, clock
+    resolved = resolve_collisions(*given, stopping_round=model.config.stopping_round)
     bodies._raise_invalid(invalid_rows.numpy().tolist())
     resolved.learn()
     clock.stop()

@@ -185,8 +185,8 @@ def wrong_arguments(comm: Comm) -> None:
             world.step(still, **given)
     for given, kind, message in (
         ({"graph": True, "resolve": True}, ValueError, "graph: steps that are resolved cannot be replayed"),
-        ({"movable": movable}, ValueError, "movable: expected a function, with resolve=True"),
-        ({"movable": [True], "resolve": True}, ValueError, "movable: expected a function, with resolve=True"),
+        ({"movable": movable}, ValueError, "movable: can only be given with resolve=True"),
+        ({"movable": [True], "resolve": True}, TypeError, "movable: expected a function, got"),
         ({"resolve": 1}, TypeError, "resolve: expected"),
     ):
         with pytest.raises(kind, match=message):

@@ -237,6 +237,7 @@ WRONG: list[tuple[dict[str, Any], type[Exception], str]] = [
     ({"broad_phase": "tree"}, ValueError, "broad_phase: expected"),
     ({"rounds": 3}, ValueError, "rounds: can only be given with a capacity"),
     ({"rounds": 0, "capacity": pgccd.Capacity.of(2)}, ValueError, "rounds: expected a number of rounds >= 1, got 0"),
+    ({"rounds": 1001, "capacity": pgccd.Capacity.of(2)}, ValueError, "rounds: expected at most 1000, got 1001"),
     ({"capacity": 5}, TypeError, "capacity: expected a pgccd.Capacity"),
 ]
 

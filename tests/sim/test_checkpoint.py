@@ -275,6 +275,7 @@ CHANGES: dict[str, Callable[[dict[str, Any]], Any]] = {
     "the rows of another": lambda index: index["files"].reverse(),
     "shared": lambda index: index.update(shared=[]),
     "shared file": lambda index: index.update(shared={}),
+    "a field of the model is missing": lambda index: index["header"]["config"].pop("stopping_round"),
 }
 
 

@@ -45,16 +45,24 @@ def test_same_bits_of_many_worlds(seed: int, pattern: str, kinds: int) -> None:
     same_bits(seed, pattern, kinds)
 
 
-def same_bits(seed: int, pattern: str, kinds: int) -> None:
+@pytest.mark.parametrize("stopping_round", [1, 2])
+def test_same_bits_where_robots_stop_earlier(stopping_round: int) -> None:
+    rounds = same_bits(3, "random", 1, stopping_round)
+    assert max(rounds) > stopping_round  # those that collide with robots that stopped
+
+
+def same_bits(seed: int, pattern: str, kinds: int, stopping_round: int = 4) -> list[int]:
     big = robot_mesh()
     meshes = [big, pgccd.Mesh(0.7 * big.vertices, big.faces, "centroid")][:kinds]
-    model = Model(ModelConfig(pattern=pattern, seed=seed, **FAST), meshes)
+    model = Model(ModelConfig(pattern=pattern, seed=seed, stopping_round=stopping_round, **FAST), meshes)
     state, plan = model.start(), StepPlan()
     scene = model.scene(state.id)
-    for index, expected in enumerate(plain_run(model, 12)):
+    lines = plain_run(model, 12)
+    for index, expected in enumerate(lines):
         step = make_step(model, scene, state, index, plan=plan)
         state = step.after
         assert {name: step.record[name] for name in expected} == expected
+    return [line["resolution_rounds"] for line in lines]
 
 
 def test_an_invalid_state(device: torch.device) -> None:

@@ -119,6 +119,7 @@ def test_kinds_are_dealt_out_in_turn() -> None:
         ({"spin": math.inf}, "spin"),
         ({"course_steps": 0.5}, "course_steps"),
         ({"stay_steps": (5, 4)}, "stay_steps"),
+        ({"stopping_round": 0}, "stopping_round"),
     ],
 )
 def test_bad_configurations_name_the_field(wrong: dict, field: str) -> None:

@@ -42,10 +42,11 @@ def plain_step(model: Model, planned: RobotState) -> PlainStep:
         return found.pairs[affected], found.toi[affected]
 
     assert contacts.toi is not None
-    return PlainStep(plain_resolution(contacts.pairs, contacts.toi, len(planned), find), contacts)
+    stopping_round = model.config.stopping_round
+    return PlainStep(plain_resolution(contacts.pairs, contacts.toi, len(planned), find, stopping_round), contacts)
 
 
-def plain_resolution(pairs: Tensor, toi: Tensor, count: int, find: Find) -> Fractions:
+def plain_resolution(pairs: Tensor, toi: Tensor, count: int, find: Find, stopping_round: int = 4) -> Fractions:
     """The rule of `pgccd.resolution.rounds`, robot by robot."""
     fraction, rounds, secondary = [1.0] * count, 0, 0
     while True:
@@ -57,7 +58,7 @@ def plain_resolution(pairs: Tensor, toi: Tensor, count: int, find: Find) -> Frac
         for robot, time in first.items():
             if time <= 1.0 and fraction[robot] > 0.0:
                 allowed = fraction[robot] * time * 0.99
-                fraction[robot] = 0.0 if allowed < (0.01 if rounds < 4 else torch.inf) else allowed
+                fraction[robot] = 0.0 if allowed < (0.01 if rounds < stopping_round else torch.inf) else allowed
                 changed.add(robot)
         made = torch.tensor(fraction, dtype=torch.float64)
         if not changed:

@@ -149,9 +149,11 @@ class CapturedWorld(RankSteps[WorldStep, _Committed, "_WorldGraph"]):
                 raise TypeError(f"{name}: expected a function, got {arguments.describe(function)}")
         if world.vertex_payload:
             raise ValueError("world: expected one without vertex_payload: its motion is rigid")
-        if movable is not None and not (resolve and callable(movable)):
-            raise ValueError(f"movable: expected a function, with resolve=True; got {arguments.describe(movable)}")
-        if arguments.flag(resolve, "resolve") and graph:
+        if not arguments.flag(resolve, "resolve") and movable is not None:
+            raise ValueError("movable: can only be given with resolve=True")
+        if movable is not None and not callable(movable):
+            raise TypeError(f"movable: expected a function, got {arguments.describe(movable)}")
+        if resolve and graph:
             raise ValueError("graph: steps that are resolved cannot be replayed; leave it out, they run eagerly")
         graph = not resolve and can_replay(world.comm, world.id.device) if graph is None else graph
         super().__init__(world._rank, graph)

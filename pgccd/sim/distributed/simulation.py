@@ -246,7 +246,8 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
                 counted = count_step(after, fraction, share.held.id, *share.first_contacts())
                 return torch.cat([counted, self._host_numbers(share)])
 
-        resolved = resolve_collisions(share.passes, len(share.held), partners, self._plan, summarise, clock, exchange)
+        given = share.passes, len(share.held), partners, self._plan, summarise, clock, exchange
+        resolved = resolve_collisions(*given, stopping_round=self.model.config.stopping_round)
         reports = Reports.of(resolved.work, resolved.summaries)
         resolved.learn()  # so that reading the contacts does not synchronise
         moved_cells = 0
