@@ -6,6 +6,7 @@ import os
 import re
 import secrets
 import shutil
+import tempfile
 import time
 import warnings
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -154,6 +155,19 @@ def rows_hash(columns: Columns, rank: int, begin: int) -> int:
         words = pad(packed, (0, -packed.shape[1] % 8)).view(torch.int64)
         total += row_hash([torch.full_like(rows, rank), rows + begin, words])
     return total % 2**64
+
+
+def require_writable(root: Path) -> None:
+    """Creates the folder `checkpoints` if needed, and a file in it for a moment: a run that could not write a
+    checkpoint fails before its first step.
+
+    Raises:
+        CheckpointError: no file can be created there.
+    """
+    with file_errors(root, "written to"):
+        root.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=root):
+            pass
 
 
 def make_folder(root: Path, kind: str, steps_made: int) -> str:

@@ -394,6 +394,17 @@ def test_a_folder_that_cannot_be_written_to(tmp_path: Path) -> None:
         sim.run(CONFIG, 1, tmp_path / "file" / "run")
 
 
+@pytest.mark.parametrize("kind", ["a file", "a folder in which no file can be made"])
+def test_a_run_that_could_write_no_checkpoint_ends_before_its_first_step(tmp_path: Path, kind: str) -> None:
+    root = tmp_path / "run" / FOLDER
+    root.parent.mkdir()
+    root.touch() if kind == "a file" else root.symlink_to("/proc/self")
+    with pytest.raises(module.CheckpointError, match=f"{FOLDER} cannot be written to: ") as refused:
+        sim.run(CONFIG, 3, tmp_path / "run")
+    assert len(str(refused.value).splitlines()) == 1
+    assert not (tmp_path / "run" / "steps.jsonl").exists()
+
+
 def test_checkpoints_without_a_pointer_are_not_deleted(tmp_path: Path) -> None:
     kept = write(tmp_path, 7)
     pointer = tmp_path / FOLDER / POINTER
