@@ -16,19 +16,21 @@ from typing import Any
 
 import torch
 
+from pgccd.cli import main
 from support.launch import free_port
 
 
 def forkserver() -> ForkServerContext:
     """Of a process that imports torch once, and forks others before it starts any thread."""
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["pgccd.sim.distributed"])
+    context.set_forkserver_preload(["pgccd.cli"])
     return context
 
 
 class ForkedJob:
     """Starts job(*arguments) in `size` processes with torchrun's variables; `job` is a module's function, which
-    connects. What a rank prints goes to `folder`. At the end of the context no process is left.
+    connects and may return an exit code. What a rank prints goes to `folder`. At the end of the context no process is
+    left.
     """
 
     def __init__(self, size: int, folder: Path, job: Callable[..., Any], *arguments: Any) -> None:
@@ -42,7 +44,7 @@ class ForkedJob:
         for process in self.processes:
             process.start()
 
-    def finish(self, seconds: float) -> list[int | None]:
+    def finish(self, seconds: float = 120.0) -> list[int | None]:
         """Waits until all ranks have ended. Returns their exit codes; None of those that have not in this time."""
         deadline = time.monotonic() + seconds
         for process in self.processes:
@@ -71,7 +73,13 @@ def _begin(rank: int, size: int, port: int, text: Path, job: Callable[..., Any],
     os.environ |= {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(port)}
     torch.set_num_threads(1)
     try:
-        job(*arguments)
-    except BaseException:
+        code = job(*arguments)
+    except Exception:
         traceback.print_exc()
-        sys.exit(1)
+        code = 1
+    sys.exit(code)
+
+
+def command_line(*arguments: str) -> int:
+    """A job: `pgccd` with these arguments."""
+    return main(arguments)
