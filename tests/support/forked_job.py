@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import runpy
 import sys
 import time
 import traceback
@@ -34,7 +35,7 @@ class ForkedJob:
     """
 
     def __init__(self, size: int, folder: Path, job: Callable[..., Any], *arguments: Any) -> None:
-        folder.mkdir(parents=True)
+        folder.mkdir(parents=True, exist_ok=True)
         context, port = forkserver(), free_port()
         self._texts = [folder / f"rank-{rank}.txt" for rank in range(size)]
         self.processes = [
@@ -62,7 +63,11 @@ class ForkedJob:
     @property
     def said(self) -> str:
         """What all ranks have printed."""
-        return "".join(text.read_text() for text in self._texts if text.exists())
+        return "".join(self.said_by(rank) for rank in range(len(self._texts)))
+
+    def said_by(self, rank: int) -> str:
+        text = self._texts[rank]
+        return text.read_text() if text.exists() else ""
 
 
 def _begin(rank: int, size: int, port: int, text: Path, job: Callable[..., Any], arguments: tuple) -> None:
@@ -78,6 +83,12 @@ def _begin(rank: int, size: int, port: int, text: Path, job: Callable[..., Any],
         traceback.print_exc()
         code = 1
     sys.exit(code)
+
+
+def script(path: str, *arguments: str) -> None:
+    """A job: a program of Python with these arguments."""
+    sys.argv = [path, *arguments]
+    runpy.run_path(path, run_name="__main__")
 
 
 def command_line(*arguments: str) -> int:
