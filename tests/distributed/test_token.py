@@ -149,7 +149,7 @@ def of_slurm(folder: str, variables: dict[str, str]) -> int:
     token._SEEN_WITHIN = 0.1
     if rank == "1":
         token._read = lambda path: b""  # type: ignore[assignment]
-    return command_line("simulate", "--robots", "9", "--steps", "1", "--timeout", "8", "--out", f"{folder}/out")
+    return command_line("simulate", "--robots", "9", "--steps", "1", "--timeout", "4", "--out", f"{folder}/out")
 
 
 @pytest.mark.parametrize("knows_port", [True, False])
@@ -160,5 +160,5 @@ def test_a_stranger_in_the_place_of_a_rank(knows_port: bool, tmp_path: Path) -> 
         codes, said = started.finish(), started.said
     assert 0 not in codes and None not in codes, said
     assert not (tmp_path / "out" / "steps.jsonl").exists()
-    expected = "is no private file of this user" if knows_port else "ranks [1] of 2 did not connect within 8 s"
+    expected = "is no private file of this user" if knows_port else "ranks [1] of 2 did not connect within 4 s"
     assert expected in said and "Traceback" not in said, said

@@ -202,10 +202,11 @@ def test_a_failure_leaves_a_whole_one(tmp_path: Path, monkeypatch: pytest.Monkey
     assert read_all(tmp_path).steps_made == 7 and len(list((tmp_path / FOLDER).iterdir())) == 3
 
 
-def test_any_change_is_refused_in_one_line_or_makes_no_difference(tmp_path: Path) -> None:
+@pytest.mark.parametrize("count", [2_000, pytest.param(10_000, marks=pytest.mark.slow)])
+def test_any_change_is_refused_in_one_line_or_makes_no_difference(tmp_path: Path, count: int) -> None:
     write(tmp_path, 7, ranks=2)
     expected, refused = start_state(), 0
-    for _ in changes_by_chance(tmp_path, 10_000):
+    for _ in changes_by_chance(tmp_path, count):
         try:
             found = read_all(tmp_path)
         except module.CheckpointError as error:
@@ -213,7 +214,7 @@ def test_any_change_is_refused_in_one_line_or_makes_no_difference(tmp_path: Path
             assert str(tmp_path) in str(error) and len(str(error).splitlines()) == 1 and len(str(error)) < 300
         else:
             assert same(found.state, expected) and found.steps_made == 7 and found.config == CONFIG
-    assert refused > 9_000
+    assert refused > 0.9 * count
     assert same(read_all(tmp_path).state, expected)
 
 
