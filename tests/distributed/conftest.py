@@ -29,5 +29,5 @@ def ranks() -> Iterator[RankPool]:
 
 @pytest.fixture(params=[1, pytest.param(2, marks=pytest.mark.slow), 3, 4])
 def world(request: pytest.FixtureRequest, ranks: RankPool) -> World:
-    """Runs world(job, *arguments) on 1, 3 and 4 ranks in turn, and on 2 of slow tests; returns the results of the ranks."""
+    """Runs world(job, *arguments) on 1, 3 and 4 ranks in turn, on 2 too with `-m slow`; returns the ranks' results."""
     return lambda job, *arguments: ranks.run(request.param, job, *arguments)

@@ -132,7 +132,7 @@ def intervals(points: np.ndarray, first: Turning, second: Turning, is_face: bool
 @pytest.mark.parametrize("kept", [0.0, 0.05])
 @pytest.mark.parametrize("name", arcs.PLANS)
 def test_arcs_against_the_intervals(name: str, is_face: bool, kept: float) -> None:
-    points, first, second = arc_queries(8, arcs.PLANS[name], is_face, 16)
+    points, first, second = arc_queries(8, arcs.PLANS[name], is_face, 30)
     found = batch.first_within(ArcPaths(points, first, second, is_face), kept)
     truth = intervals(points, first, second, is_face, kept)
     both = (found.status != CLOSE) & (truth.status != CLOSE)
