@@ -69,12 +69,15 @@ def find(
     device: torch.device = torch.device("cpu"),  # noqa: B008
     neighbours_above: int = 32,
 ) -> list[tuple[int, int]]:
-    """Compares all reports with one process; returns the numbers of pairs and ghosts of this rank, per assignment."""
+    """Compares all reports with one process, with cells of random owners, and once with the uniform ones; returns the
+    numbers of pairs and ghosts of this rank, per assignment.
+    """
     comm.neighbours_above, seen = neighbours_above, []
     for index, report in enumerate(REPORTS):
         whole = by_one_process(name, report)
-        for seed in (0, 1 + index) if comm.size > 1 else (0,):
-            world, ids = share(comm, name, report, seed, (seed > 0) == (index % 2 == 0), device)
+        seeds = (0, 1) if index == 0 else (1 + index,)
+        for seed in seeds if comm.size > 1 else (0,):
+            world, ids = share(comm, name, report, seed, seed % 2 == 1, device)
             mine = world.payload
             motion = pgccd.RigidMotion.from_velocity(
                 world.position, mine["orientation"], mine["velocity"], mine["rotation"], dt=1.0

@@ -59,9 +59,11 @@ def agree_by_store(store: dist.Store, placement: Placement, facts: Mapping[str, 
         store.set("facts/verdict", _compare_all(store, placement.size, timeout))
     try:
         store.wait(["facts/verdict"])
+    except dist.DistNetworkError:
+        raise
     except dist.DistError as error:
         raise RuntimeError(f"rank 0 did not connect within {timeout:g} s ({error})") from error
-    verdict = store.get("facts/verdict").decode()
+    verdict = store.get("facts/verdict").decode(errors="replace")
     store.add("facts/read", 1)
     if verdict:
         if placement.rank == 0:  # rank 0 may host the store
