@@ -311,22 +311,39 @@ class Contacts(ContactColumns, CountedRows):
         stats: of the call.
         scene: the scene of the bodies; None where `pairs` are not rows of one scene, as on many ranks.
 
+    If an input of `detect` requires grad, then so do toi, coordinates, point and normal: see docs/how-to/gradients.md.
+
     Example:
         >>> for (i, j), toi in zip(hits.pairs.tolist(), hits.toi.tolist()):
         ...     print(f"{i} and {j} touch at {toi:.2f}")
         0 and 1 touch at 0.80
     """
 
+    # See `differentiable`; None if no input required grad.
+    _differentiable: Tensor | None = field(default=None, init=False, repr=False, compare=False)
+
+    @property
+    def differentiable(self) -> Tensor:
+        """(K,) bool: contacts whose toi, coordinates, point and normal have derivatives, if an input of `detect`
+        required grad; if none did, False. False, with all derivatives zero, where features touch at t = 0, where they
+        graze (the gap closes at less than 1e-6 of the relative speed) and of unresolved contacts.
+
+        Example:
+            >>> loss = hits.toi[hits.differentiable].sum()
+        """
+        return torch.zeros_like(self.toi, dtype=torch.bool) if self._differentiable is None else self._differentiable
+
     def earliest(self, *ties: Tensor) -> Self:
         """The contact with the smallest toi (see `earliest_row` for ties), or none if there are no contacts."""
         found = self[earliest_row(self.toi, *ties)]
         earliest = replace(found, stats=replace(found.stats, contacts=len(found)))
-        earliest.scene, earliest._is_earliest = self.scene, True
+        earliest.scene, earliest._is_earliest, earliest._differentiable = self.scene, True, found._differentiable
         return earliest
 
     def _map(self, change: Callable[[Tensor], Tensor]) -> Self:
         changed = super()._map(change)
         changed._is_earliest = self._is_earliest
+        changed._differentiable = None if self._differentiable is None else change(self._differentiable)
         return changed
 
 

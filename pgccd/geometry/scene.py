@@ -280,9 +280,19 @@ class Scene:
             self._world_count = Derived(self.world, 1 + int(self.world.max()) if self.body_count else 0)
         return self._world_count.value
 
+    def _detached(self) -> Scene:
+        """The scene without gradients; itself if it has none. Both share capacity estimates."""
+        if not arguments.is_differentiated(self.margin):
+            return self
+        assert self.margin is not None
+        _ = self._capacity_estimates  # made now, to be shared
+        plain = copy.copy(self)
+        plain.margin = self.margin.detach()
+        return plain
+
     def _check_columns(self) -> None:
-        """Raises TypeError or ValueError if a column was replaced by one of another type, shape or device. Values are
-        not checked.
+        """Raises TypeError or ValueError if a column was replaced by one of another type, shape or device, or requires
+        grad. Values are not checked.
         """
         for name, dtype in _DTYPES.items():
             column = getattr(self, name)
@@ -297,6 +307,7 @@ class Scene:
                 raise ValueError(f"{name}: expected {expected}, got {tuple(column.shape)} on {column.device}")
             if not column.is_contiguous():
                 raise ValueError(f"{name}: expected a contiguous tensor")
+            arguments.refuse_gradient(column, name)
         fixed, given = self._fixed, self.self_collision
         if self._is_trusted or (fixed is None and given is None):
             return

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from pgccd import arguments
 from pgccd.arguments import real_rows
+from pgccd.motion.differentiable import any_differentiated
 from pgccd.motion.validation import Checked, Validation, columns_checked, first_invalid_rows, joined
 
 _Self = TypeVar("_Self", bound="MovingColumns")
@@ -43,7 +44,7 @@ class MovingColumns:
         """The current columns that detection reads.
 
         Raises:
-            TypeError, ValueError: a column was replaced by one of another type, shape or device.
+            TypeError, ValueError: a column was replaced by one of another type, shape or device, or requires grad.
         """
         columns = {name: getattr(self, name) for name in self._names}
         if self._is_trusted or all(
@@ -60,6 +61,20 @@ class MovingColumns:
         if all(columns[name] is column for name, column in given.items()):
             self._sound = given
         return columns
+
+    @property
+    def _is_differentiated(self) -> bool:
+        """Whether a column requires grad while gradients are enabled."""
+        return any_differentiated(*(getattr(self, name) for name in self._names))
+
+    def _detached(self: _Self) -> _Self:
+        """The motion without gradients; itself if it has none."""
+        if not self._is_differentiated:
+            return self
+        plain = copy.copy(self)
+        for name in self._names:
+            setattr(plain, name, getattr(self, name).detach())
+        return plain
 
     def _first_invalid_rows(self, columns: Mapping[str, Tensor] | None = None, more: Sequence[Checked] = ()) -> Tensor:
         """(F + 1,) int64 on the motion's device: the first invalid row of each argument, or the number of rows; then 1
@@ -147,11 +162,11 @@ class MovingColumns:
             if given:
                 self._given, self._given_invalid_rows = given, first_invalid_rows(self._checked(given))
             return
-        columns = self._checked({**given, **self.columns()})
+        columns = self._checked({**given, **self._detached().columns()})
         first = first_invalid_rows(columns).tolist()
         if not first[-1]:
             return
         if origins:
-            of_origins = columns_checked(origins, self._row)
+            of_origins = columns_checked({name: column.detach() for name, column in origins.items()}, self._row)
             Validation(of_origins).raise_from(first_invalid_rows(of_origins).tolist())
         Validation(columns).raise_from(first)
