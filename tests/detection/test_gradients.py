@@ -281,3 +281,32 @@ def test_where_no_gradient_is_computed_it_is_refused() -> None:
         plain.shortened(wanting(torch.tensor(0.5)))
     with pytest.raises(ValueError, match="^orientation: requires grad"):
         pgccd.integrate_orientation(wanting(UPRIGHT), TURN)
+
+
+def test_compiled(device: torch.device) -> None:
+    """Elementary tests as one graph; `detect` breaks it."""
+    start, end = (torch.randn(300, 4, 3, dtype=torch.float64, device=device) for _ in range(2))
+
+    def elementary(start: Tensor, end: Tensor) -> Tensor:
+        found = pgccd.narrow.edge_edge(start, end)
+        return torch.where(found.differentiable, found.toi, 0.0).sum()
+
+    of_scene = scene(device)
+
+    def of_detection(x0: Tensor, x1: Tensor) -> Tensor:
+        motion = pgccd.RigidMotion.from_rotation(x0, UPRIGHT.to(device), 1.0 * x1, TURN.to(device))
+        hits = pgccd.detect(of_scene, motion)
+        return hits.first_toi().clamp(max=1.0) ** 2 + hits.point.sum()
+
+    for function, inputs, whole in (
+        (elementary, (start, end), True),
+        (of_detection, (START.to(device), END.to(device)), False),
+    ):
+        compiled = torch.compile(function, backend="aot_eager", fullgraph=whole)
+        results = []
+        for call in (function, compiled):
+            given = [wanting(x) for x in inputs]
+            value = call(*given)
+            results.append((value, *torch.autograd.grad(value, given)))
+        for expected, found in zip(*results, strict=True):
+            assert torch.allclose(found, expected, rtol=1e-12)
