@@ -101,6 +101,7 @@ def rows(value: Any, name: str, count: int) -> Any:
     if isinstance(value, slice):
         return value
     expected = "a mask, row numbers or a slice"
+    value = as_tensor(value, name)
     if not isinstance(value, (Tensor, np.ndarray, list)):
         raise TypeError(f"{name}: expected {expected}, got {describe(value)}")
     try:
@@ -188,33 +189,38 @@ def refuse_gradient(values: Tensor, name: str) -> None:
 
 
 def as_tensor(values: Any, name: str) -> Any:
-    """An array of another library (NumPy, CuPy, JAX, Warp, ...) as a tensor that shares its memory, by DLPack or by
-    `__cuda_array_interface__`; other values as they are.
+    """An array of another library (CuPy, JAX, Warp, ...) as a tensor that shares its memory, by DLPack or by
+    `__cuda_array_interface__`; other values, also arrays of NumPy, as they are.
 
     Raises:
-        TypeError: the array cannot be shared, for example because it is read-only.
+        TypeError: torch cannot share the array.
         ValueError: it takes part in the differentiation of another library.
     """
-    if isinstance(values, Tensor) or torch.compiler.is_compiling():
+    if isinstance(values, (Tensor, np.ndarray)) or torch.compiler.is_compiling():
         return values
-    if not any(hasattr(type(values), protocol) for protocol in ("__dlpack__", "__cuda_array_interface__")):
+    has_dlpack = hasattr(type(values), "__dlpack__")
+    if not has_dlpack and not hasattr(type(values), "__cuda_array_interface__"):
         return values
-    if getattr(values, "requires_grad", False) is True:  # a Warp array on a tape
+    if getattr(values, "requires_grad", False) is True:  # of Warp
         raise ValueError(f"{name}: requires grad in another library: convert it to a tensor of torch, or detach it")
     try:
-        if hasattr(type(values), "__dlpack__"):
-            return torch.from_dlpack(values)
-        return torch.as_tensor(values)
+        return torch.from_dlpack(values) if has_dlpack else torch.as_tensor(values)
     except (TypeError, ValueError, RuntimeError, BufferError) as error:
-        raise TypeError(f"{name}: an array of {type(values).__module__} that torch cannot share: {error}") from error
+        raise TypeError(f"{name}: torch cannot share this {type(values).__name__}: {error}") from error
+
+
+def _of_numpy(values: np.ndarray, name: str) -> Tensor:
+    """A tensor that shares the memory of the array, if that may be written."""
+    try:
+        return torch.from_numpy(values if values.flags.writeable else values.copy())
+    except (TypeError, ValueError) as error:
+        raise TypeError(f"{name}: expected float32 or float64, got an array of {values.dtype}: {error}") from error
 
 
 def real_tensor(values: Any, name: str) -> Tensor:
-    """The values, a dense float32 or float64 tensor, or an array of another library as such a tensor (see
-    `as_tensor`).
-    """
+    """The values, a dense float32 or float64 tensor, or an array as such a tensor, without a copy (see `as_tensor`)."""
     if not isinstance(values, Tensor):
-        values = as_tensor(values, name)
+        values = _of_numpy(values, name) if isinstance(values, np.ndarray) else as_tensor(values, name)
     if not isinstance(values, Tensor):
         hint = ": pass torch.tensor(values, dtype=torch.float64)" if isinstance(values, (list, tuple)) else ""
         raise TypeError(f"{name}: expected a float32 or float64 tensor, got {describe(values)}{hint}")
@@ -254,6 +260,19 @@ def real_rows(
         return values.to(torch.float64).contiguous()
     refuse_gradient(values, name)
     return values.detach().to(torch.float64).contiguous()
+
+
+def entries(state: Any, names: Iterable[str]) -> None:
+    """Raises unless the state is a dictionary with exactly these names."""
+    names = list(names)
+    if not isinstance(state, dict):
+        raise TypeError(f"state: expected a dictionary from state_dict, got {describe(state)}")
+    for name in names:
+        if name not in state:
+            raise ValueError(f"state: has no entry {name!r}")
+    for name in state:
+        if name not in names:
+            raise ValueError(f"state: expected entries {names}, got {name!r}")
 
 
 def check_corners(points: np.ndarray, faces: np.ndarray) -> None:

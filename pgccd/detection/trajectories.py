@@ -40,6 +40,10 @@ class TrajectoryContacts(Contacts):
 
     _names: ClassVar[tuple[str, ...]] = (*COLUMNS, "segment", "time")
 
+    @property
+    def _order(self) -> tuple[Tensor, ...]:
+        return self.segment, self.toi
+
     def first_toi(self, by: By = "scene") -> Tensor:
         """The first `time` along the whole trajectory: in [0, 1], float64, inf without a contact.
 

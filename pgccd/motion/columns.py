@@ -2,7 +2,7 @@
 
 import copy
 from collections.abc import Mapping, Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
@@ -147,6 +147,19 @@ class MovingColumns:
                 setattr(moved, name, column.to(device))
         moved._given = {name: column.to(device) for name, column in self._given.items()}
         return moved
+
+    def state_dict(self) -> dict[str, Any]:
+        """The motion as a dictionary of tensors and names, without gradients, for `torch.save` and `torch.load` with
+        weights_only=True.
+
+        Raises:
+            TypeError, ValueError: the motion is invalid.
+
+        Example:
+            >>> torch.save(motion.state_dict(), "motion.pt")
+        """
+        self._check_given()
+        return dict(self._detached().columns())
 
     def _check_early(
         self, origins: Mapping[str, Tensor] | None = None, given: Mapping[str, Tensor] | None = None

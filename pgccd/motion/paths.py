@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from functools import partial
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import torch
 from torch import Tensor
@@ -195,6 +195,30 @@ class RigidMotion(MovingColumns):
         motion.position_t1, motion.rotation = position_t1, rotation
         return motion
 
+    def state_dict(self) -> dict[str, Any]:
+        """As of `MovingColumns`, with the kind of path.
+
+        Example:
+            >>> torch.save(motion.state_dict(), "motion.pt")
+        """
+        return {**super().state_dict(), "path": self.path}
+
+    @classmethod
+    def from_state_dict(cls, state: dict[str, Any]) -> RigidMotion:
+        """The motion of a `state_dict`, bit by bit, on the device of its tensors.
+
+        Args:
+            state: from `state_dict`.
+
+        Raises:
+            TypeError, ValueError: naming the entry that is missing or invalid.
+
+        Example:
+            >>> again = pgccd.RigidMotion.from_state_dict(motion.state_dict())
+        """
+        arguments.entries(state, (*cls._names, "path"))
+        return cls.from_rotation(**state)
+
     def _set(self, position_t0: Tensor, orientation_t0: Tensor, position_t1: Tensor, path: PathKind) -> None:
         self.position_t0 = _rows(position_t0, "position_t0", None, 3, None)
         count, device = self.position_t0.shape[0], self.position_t0.device
@@ -310,6 +334,23 @@ class VertexMotion(MovingColumns):
         self.x_t0 = _rows(x_t0, "x_t0", None, 3, None)
         self.x_t1 = _rows(x_t1, "x_t1", self.x_t0.shape[0], 3, self.device)
         self._check_early()
+
+    @classmethod
+    def from_state_dict(cls, state: dict[str, Any]) -> VertexMotion:
+        """The motion of a `state_dict`, on the device of its tensors.
+
+        Args:
+            state: from `state_dict`.
+
+        Raises:
+            TypeError, ValueError: naming the entry that is missing or invalid.
+
+        Example:
+            >>> motion = pgccd.VertexMotion(cloth_t0, cloth_t1)
+            >>> again = pgccd.VertexMotion.from_state_dict(motion.state_dict())
+        """
+        arguments.entries(state, cls._names)
+        return cls(**state)
 
     @classmethod
     def _of_checked(cls, x_t0: Tensor, x_t1: Tensor) -> VertexMotion:
