@@ -11,6 +11,7 @@ from support.gradients import MOTIONS, errors, meshes, random_case
 from torch import Tensor
 
 import pgccd
+from pgccd.motion.differentiable import sum_sorted
 
 UPRIGHT = torch.tensor([[1.0, 0.0, 0.0, 0.0]] * 2, dtype=torch.float64)
 START = torch.tensor([[0.0, 0.0, 0.0], [3.0, 0.3, 0.2]], dtype=torch.float64)
@@ -166,6 +167,18 @@ def test_gradients_are_the_same_in_every_run(device: torch.device) -> None:
         seen += torch.autograd.grad((hits.toi * hits.point.sum(1)).sum(), start)
     assert torch.equal(seen[0], seen[1]) and torch.equal(seen[0], seen[2])
     assert float(seen[0][0].abs().sum()) > 0.0
+
+
+def test_sums_are_in_the_order_of_rows(device: torch.device) -> None:
+    random = torch.Generator().manual_seed(5)
+    terms = torch.randn(4000, 3, dtype=torch.float64, generator=random)
+    row = torch.randint(0, 30, (4000,), generator=random)
+    row[row == 7] = 8
+    expected = torch.zeros(30, 3, dtype=torch.float64).index_add_(0, row, terms)
+    found = sum_sorted(terms.to(device), row.to(device), 30)
+    assert torch.allclose(found.cpu(), expected, rtol=1e-12, atol=1e-12) and not found[7].any()
+    assert torch.equal(found, sum_sorted(terms.to(device), row.to(device), 30))
+    assert not sum_sorted(terms[:0].to(device), row[:0].to(device), 4).any()
 
 
 def test_where_there_is_no_derivative(device: torch.device) -> None:
