@@ -203,11 +203,12 @@ def new_values(new: Mapping[str, Tensor], columns: Columns, vertices: Columns) -
     return of_bodies, of_vertices
 
 
-def require_positions(position: Tensor) -> None:
-    """Raises TypeError or ValueError unless these are positions (N, 3), naming the first that is not finite, or too
+def require_positions(position: Tensor) -> Tensor:
+    """Positions (N, 3). Raises TypeError or ValueError if they are none, naming the first that is not finite, or too
     large.
     """
-    arguments.real_tensor(position, "position")
+    position = arguments.real_tensor(position, "position")
+    arguments.refuse_gradient(position, "position")
     if position.dim() != 2 or position.shape[1] != 3 or position.is_meta:
         raise ValueError(f"position: expected shape (N, 3), got {arguments.describe(position)}")
     wrong = torch.nonzero(~(position.abs() <= LARGEST_COORDINATE).all(dim=1))
@@ -215,3 +216,4 @@ def require_positions(position: Tensor) -> None:
         row = int(wrong[0])
         expected = f"finite numbers up to {LARGEST_COORDINATE:g}"
         raise ValueError(f"position: row {row}: expected {expected}, got {position[row].tolist()}")
+    return position

@@ -49,9 +49,9 @@ def with_more(
     """
 
     def check() -> tuple[Columns, Vertices | None]:
-        require_positions(position)
-        arguments.shape(position, "position", ("M", 3), state.columns["id"].device)
-        columns, vertices = bodies_given(state.meshes, position, id=id, **given)
+        positions = require_positions(position)
+        arguments.shape(positions, "position", ("M", 3), state.columns["id"].device)
+        columns, vertices = bodies_given(state.meshes, positions, id=id, **given)
         if id is not None and len(id) and int(id.min()) < state.next_id:
             expected = f"new ids, from {state.next_id} on (smaller ones may have been used)"
             raise ValueError(f"id: expected {expected}, got {int(id.min())}")

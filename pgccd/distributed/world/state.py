@@ -93,7 +93,7 @@ def state_given(
     Raises:
         TypeError, ValueError: naming the argument.
     """
-    require_positions(position)
+    position = require_positions(position)
     mesh_set = MeshSet(meshes, position.device)
     partition = cut.uniform(ranks, position.device, balance)
     columns, vertices = bodies_given(
