@@ -25,11 +25,11 @@ from pgccd.resolution.resolve import resolve
 from pgccd.resolution.results import PaddedResolution, Resolution
 
 if _TYPE_CHECKING:
-    from pgccd import about, baselines, distributed, files, sim, viz
+    from pgccd import about, baselines, distributed, files, robots, sim, viz
     from pgccd.viz import show
 
 # Imported on first use: they load more modules than detection needs.
-_LATER = ("about", "baselines", "distributed", "files", "sim", "viz")
+_LATER = ("about", "baselines", "distributed", "files", "robots", "sim", "viz")
 
 __version__: str = _build_information()["version"]
 
@@ -65,6 +65,7 @@ __all__ = [
     "integrate_orientation",
     "narrow",
     "resolve",
+    "robots",
     "show",
     "sim",
     "traverse",
