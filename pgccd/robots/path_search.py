@@ -153,27 +153,29 @@ class PathSearch:
             valid &= obstacles._is_sound(len(q)).to(q.device)
         found.verdict[~valid] = int(Verdict.INVALID)
         found.time[~valid] = found.toi[~valid] = 0.0
-        self._find_starts(scene, q, valid, found)
-        steps = self._first_steps(q, found.free)
+        steps = self._first_steps(q, valid)
         first_time = torch.full_like(found.time, torch.inf)  # segment + toi
         width = 0
         while len(steps):
             now = torch.ones_like(steps.begin, dtype=torch.bool) if width == 0 else steps.rank() < width
-            width = 4 if width == 0 else 2 * width
             chosen, rest = steps[now], steps[~now]
-            steps = rest.followed_by(self._test(scene, q, chosen, found, first_time))
+            met = self._met(scene, q, chosen, _TOLERANCE * self.resolution)
+            if width == 0:
+                at_start = (chosen.segment == 0) & (chosen.begin == 0.0) & (met.toi == 0.0)
+                first_time[self._find_starts(scene, q, chosen.environment[at_start], found)] = -1.0
+            steps = rest.followed_by(self._decide(chosen, met, found, first_time))
             steps = steps[steps.segment + steps.begin < first_time[steps.environment]]
+            width = max(4, 2 * width)
         rows = torch.nonzero(found.verdict == int(Verdict.NEAR)).flatten()
         found.time[rows] = time_along(found.segment[rows], found.toi[rows], q.shape[1] - 1)
         self._find_witnesses(scene, q, rows, found)
         found.steps, found.searches = self._steps, self._searches
         return found
 
-    def _find_starts(self, scene: Scene, q: Tensor, valid: Tensor, found: Certificate) -> None:
-        """Marks the paths that start with a contact."""
-        rows = torch.nonzero(valid).flatten()
+    def _find_starts(self, scene: Scene, q: Tensor, rows: Tensor, found: Certificate) -> Tensor:
+        """Marks the paths, of these environments, that start with a contact; returns them."""
         if not len(rows):
-            return
+            return rows
         met = self._at_rest(scene, q[rows, 0], rows)
         touches = met.toi < torch.inf
         rows = rows[touches]
@@ -181,6 +183,7 @@ class PathSearch:
         found.time[rows] = found.toi[rows] = 0.0
         found.segment[rows] = 0
         found.links[rows], found.point[rows] = self._links(met.bodies[touches]), met.point[touches]
+        return rows
 
     def _first_steps(self, q: Tensor, wanted: Tensor) -> _Steps:
         """The segments of the wanted environments, in so many parts that links turn little in each."""
@@ -197,9 +200,8 @@ class PathSearch:
         whole = _Steps(environment, segment, torch.zeros_like(turn), torch.ones_like(turn))
         return whole.split(parts)
 
-    def _test(self, scene: Scene, q: Tensor, steps: _Steps, found: Certificate, first_time: Tensor) -> _Steps:
-        """Tests steps; records the contacts of those that are decided, and returns parts of the others."""
-        met = self._met(scene, q, steps, _TOLERANCE * self.resolution)
+    def _decide(self, steps: _Steps, met: _Met, found: Certificate, first_time: Tensor) -> _Steps:
+        """Records the contacts of steps that are decided, and returns parts of those that are neither that nor free."""
         rows = torch.nonzero(met.toi < torch.inf).flatten()
         steps, met = steps[rows], _Met(*(column[rows] for column in vars(met).values()))
         length = steps.end - steps.begin

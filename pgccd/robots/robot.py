@@ -303,6 +303,9 @@ class Robot:
         margin = self._stray(before, after, torch.maximum(q[:-1].abs(), q[1:].abs()))
         x, r = self._of_bodies(poses)
         if obstacles is not None:
+            if obstacles.environments is not None:
+                expected = "obstacles with one pose each"
+                raise ValueError(f"obstacles: expected {expected}, got {obstacles.environments} environments")
             x, r = obstacles._added_to(x, r, torch.zeros(len(q), dtype=torch.int64))
             margin = torch.cat([margin, margin.new_zeros(len(margin), obstacles.count)], dim=1)
         return Trajectory(x, r, margin=margin)

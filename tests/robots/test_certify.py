@@ -256,3 +256,18 @@ def test_what_cannot_be_certified(tmp_path: Path) -> None:
         with pytest.raises(ValueError, match="^" + message):
             Obstacles(*given)  # type: ignore[arg-type]
     assert len(robot.certify(torch.zeros(0, 3, 2))) == 0
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_a_thousand_paths_of_64_waypoints(tmp_path: Path, device: torch.device) -> None:
+    rng = np.random.default_rng(9)
+    robot = loaded(beams(6), tmp_path)
+    obstacles, _, _ = boxes(rng, 4, 0.8, 2.0)
+    ends = rng.uniform(-1.2, 1.2, (2, 1000, 1, 6))
+    q = torch.tensor(ends[0] + np.linspace(0.0, 1.0, 64)[:, None] * (ends[1] - ends[0]), device=device)
+    found = robot.certify(q, obstacles)
+    counts = [int((found.verdict == int(verdict)).sum()) for verdict in Verdict]
+    assert counts[Verdict.FREE] > 300 and counts[Verdict.COLLISION] > 100 and counts[Verdict.INVALID] == 0
+    for b in range(0, 1000, 50):
+        same(robot.certify(q[b : b + 1], obstacles), found, b)
