@@ -56,9 +56,10 @@ class Poses:
 
     def split(self, count: int) -> tuple[Poses, Poses]:
         """Those of the first configurations, and of the others."""
-        columns = [column.split([count, column.shape[1] - count], dim=1) for column in vars(self).values()]
-        first, second = zip(*columns, strict=True)
-        return Poses(*first), Poses(*second)
+        first, second = (
+            Poses(*(column[:, rows] for column in vars(self).values())) for rows in (slice(count), slice(count, None))
+        )
+        return first, second
 
 
 @dataclass(frozen=True)

@@ -80,7 +80,8 @@ class Obstacles:
     def _is_sound(self, environments: int) -> Tensor:
         """(B,) bool: the environments whose poses are valid."""
         at = (self.position.abs() <= LARGEST_COORDINATE).all(dim=-1).all(dim=-1)
-        length = self.orientation.norm(dim=-1)
+        w, x, y, z = self.orientation.unbind(-1)
+        length = (w * w + x * x + y * y + z * z).sqrt()
         turn = ((length - 1.0).abs() <= UNIT_TOLERANCE).all(dim=-1)
         return (at & turn).expand(environments)
 
