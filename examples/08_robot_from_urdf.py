@@ -7,6 +7,9 @@ Is a plan of a robot arm free of contact, between its waypoints too? `pgccd.robo
 and the point. Samples between waypoints cannot answer that; here they miss some collisions.
 """
 
+import tempfile
+from pathlib import Path
+
 import matplotlib.pyplot as plt
 import numpy as np
 import torch
@@ -30,10 +33,11 @@ for k in range(JOINTS):
         f'<origin xyz="{start} 0 0"/><axis xyz="{"0 0 1" if k % 2 == 0 else axis}"/>',
         '<limit lower="-2.5" upper="2.5" effort="1" velocity="1"/></joint>',
     ]
-with open("arm.urdf", "w") as file:
-    file.write("\n".join([*text, "</robot>"]))
+temporary = tempfile.TemporaryDirectory()
+file = Path(temporary.name) / "arm.urdf"
+file.write_text("\n".join([*text, "</robot>"]))
 
-robot = load_urdf("arm.urdf")
+robot = load_urdf(file)
 print(robot, "joints:", ", ".join(robot.joint_names))
 
 # %%
