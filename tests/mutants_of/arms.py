@@ -29,7 +29,15 @@ MUTANTS = [
     Mutant(
         "arm-slide-0.999", STRAY, "2.0 * (steps[k] * before)", "1.998 * (steps[k] * before)", ON_STRAY, switched=False
     ),
-    Mutant("arm-speed-zero", STRAY, "0.5 * (ends[place] + speed)", "0.5 * ends[place]", ON_STRAY, switched=False),
+    Mutant(
+        "arm-speed-zero",
+        STRAY,
+        "0.5 * (ends[place] + speed)",
+        "0.5 * ends[place]",
+        ON_STRAY,
+        equivalent=NOT_ATTAINED,
+        switched=False,
+    ),
     Mutant(
         "arm-crossing-of-neighbours",
         "pgccd/robots/kinematics.py",
