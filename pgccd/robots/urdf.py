@@ -99,7 +99,8 @@ def _parsed(path: Path) -> Any:
         ElementTree.parse(path)  # yourdfpy repairs broken files silently
         return yourdfpy.URDF.load(str(path), build_scene_graph=False, load_meshes=False).robot
     except Exception as error:
-        raise ValueError(f"path: {path} cannot be read as URDF: {error}") from error
+        problem = f"an element has no attribute {error}" if isinstance(error, KeyError) else error
+        raise ValueError(f"path: {path} cannot be read as URDF: {problem}") from error
 
 
 def _ordered(description: Any, path: Path) -> tuple[str, list[Any]]:

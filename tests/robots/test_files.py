@@ -196,6 +196,9 @@ def test_what_urdf_files_cannot_be(tmp_path: Path) -> None:
         path.write_text(f'<robot name="bad">{body}</robot>')
         with pytest.raises(ValueError, match=f"^path: .*bad.urdf: ({message})"):
             pgccd.robots.load_urdf(path)
+    path.write_text('<robot name="bad"><link/></robot>')
+    with pytest.raises(ValueError, match="^path: .* cannot be read as URDF: an element has no attribute 'name'"):
+        pgccd.robots.load_urdf(path)
     path.write_text("<robot><link")
     with pytest.raises(ValueError, match="^path: .* cannot be read as URDF"):
         pgccd.robots.load_urdf(path)
