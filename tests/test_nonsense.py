@@ -122,7 +122,8 @@ def calls(folder: Path) -> dict[str, Call]:
         "MeshSet": Call(pgccd.MeshSet, {"meshes": [mesh], "device": "cpu"}),
         "Scene": Call(
             pgccd.Scene,
-            {"meshes": [mesh], "mesh_index": [0, 0], "device": "cpu", **filters, "self_collision": True, "margin": 0.1},
+            {"meshes": [mesh], "mesh_index": [0, 0], "device": "cpu", **filters, "self_collision": True, "margin": 0.1}
+            | {"exclude": [[0, 1]]},
             {"mesh_index": ("group",)},
         ),
         "Scene.to": Call(scene.to, {"device": "cpu"}),
@@ -145,6 +146,19 @@ def calls(folder: Path) -> dict[str, Call]:
         "RigidMotion.to": Call(motion.to, {"device": "cpu"}),
         "VertexMotion": Call(
             pgccd.VertexMotion, {"x_t0": torch.ones(5, 3), "x_t1": torch.ones(5, 3)}, {"x_t0": ("x_t1",)}
+        ),
+        "Trajectory": Call(
+            pgccd.Trajectory,
+            {"position": torch.stack([motion.position_t0] * 2), "orientation": motion.orientation_t0, "path": "rigid"}
+            | {"rotation": motion.rotation[None], "margin": torch.zeros(1, 2)},
+            {"position": ("rotation", "orientation"), "orientation": ("rotation",), "rotation": ("orientation",)},
+        ),
+        "Trajectory.from_velocity": Call(
+            pgccd.Trajectory.from_velocity,
+            spins
+            | {"linear_velocity": torch.ones(1, 2, 3), "angular_velocity": torch.ones(1, 2, 3), "dt": 1.0}
+            | {"path": "rigid", "margin": torch.zeros(1, 2)},
+            {"position": ("orientation",)},
         ),
         "MovingBodies.of": Call(pgccd.MovingBodies.of, {"scene": scene, "motion": motion}),
         "BufferSizes": Call(
