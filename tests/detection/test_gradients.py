@@ -83,6 +83,28 @@ def test_gradients_pass_through_motions(device: torch.device) -> None:
     assert torch.autograd.gradcheck(by_velocities, inputs, eps=1e-5, atol=1e-6)
 
 
+def test_gradients_pass_through_trajectories(device: torch.device) -> None:
+    """Waypoints, rotations of segments, and margins of segments beside those of bodies."""
+    x = torch.stack([START - 0.1 * (END - START), START, END]).to(device)
+    q = torch.stack([UPRIGHT, UPRIGHT, pgccd.integrate_orientation(UPRIGHT, TURN)]).to(device)
+    turn = torch.stack([torch.zeros_like(TURN), TURN]).to(device)
+
+    def contacts(x: Tensor, margin: Tensor, of_bodies: Tensor) -> Any:
+        trajectory = pgccd.Trajectory(x, q, rotation=turn, margin=margin)
+        hits = pgccd.detect(scene(device, margin=of_bodies), trajectory, tolerance=1e-12)
+        assert bool(hits.differentiable.all()) and len(hits) > 0
+        return hits.toi, hits.time, hits.point
+
+    margins = torch.full((2, 2), 0.01, dtype=torch.float64), torch.full((2,), 0.02, dtype=torch.float64)
+    inputs = [wanting(values.to(device)) for values in (x, *margins)]
+    assert torch.autograd.gradcheck(contacts, inputs, eps=1e-5, atol=1e-6)
+    trajectory = pgccd.Trajectory(x, q, rotation=wanting(turn))
+    pgccd.detect(scene(device), trajectory).toi.sum().backward()
+    assert trajectory.rotation is not None and bool(trajectory.rotation.grad[1].any())
+    with pytest.raises(ValueError, match="^angular_velocity: requires grad"):
+        pgccd.Trajectory.from_velocity(x[0], q[0], turn, wanting(turn), 1.0)
+
+
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 @pytest.mark.parametrize("test", [pgccd.narrow.vertex_face, pgccd.narrow.edge_edge])
 @pytest.mark.parametrize("separation", [0.0, 0.05])
