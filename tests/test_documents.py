@@ -56,7 +56,7 @@ def test_documents(name: str, capsys: pytest.CaptureFixture[str], monkeypatch: p
 
 
 @pytest.mark.cuda
-@pytest.mark.parametrize("name", [name for name in (*LOOPS, *CHECKED_BY_THEMSELVES) if name.endswith(".py")])
+@pytest.mark.parametrize("name", sorted(name for name in (*LOOPS, *CHECKED_BY_THEMSELVES) if name.endswith(".py")))
 def test_examples_on_a_gpu(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "argv", [name, "cuda"])
     with steps_recorded() as steps:
