@@ -52,14 +52,16 @@ _FILE_NOTES = """\
 poses.npz holds, for N bodies, one of these:
   position_t0 (N, 3), orientation_t0 (N, 4), position_t1 (N, 3), orientation_t1 (N, 4);
   position_t0, orientation_t0, linear_velocity (N, 3), angular_velocity (N, 3) in radians, and dt, a number;
-  a trajectory of T waypoints: position (T, N, 3), orientation (T, N, 4);
-  deforming bodies: x_t0, x_t1 (X, 3), the vertices of all bodies, or position (T, X, 3) alone.
+  a trajectory of T waypoints: position (T, N, 3), orientation (T, N, 4); optionally rotation (T - 1, N, 3), vectors;
+  deforming bodies: x_t0, x_t1 (X, 3), the vertices of all bodies, or position (T, X, 3) alone;
+  of any trajectory, optionally margin (T - 1, N).
 A pose puts a point v of a mesh file at position + R (v - origin), and the body turns about its origin: that of the
 file's coordinates, unless a scene file says otherwise. Orientations are unit quaternions (w, x, y, z), body to world.
 
 scene.json: {"meshes": ["robot.ply", "rock.obj"], "mesh_index": [0, 0, 1], "poses": "poses.npz"}; paths are relative to
-it; optional: "group", "mask", "world", "static", "margin", lists with one value per body; "origin", one value per mesh:
-[x, y, z] in the file's coordinates, "centroid" (the SBV centre) or "center_of_mass"."""
+it; optional: "group", "mask", "world", "static", "margin", lists with one value per body; "exclude", pairs of bodies
+that are never tested; "origin", one value per mesh: [x, y, z] in the file's coordinates, "centroid" (the SBV centre)
+or "center_of_mass"."""
 
 
 class ArgumentError(Exception):

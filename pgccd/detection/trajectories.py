@@ -1,14 +1,14 @@
 """Detection along a trajectory: all segments in one call."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import ClassVar, Protocol
 
 import torch
 from torch import Tensor
 
 from pgccd.detection import narrow
 from pgccd.detection.bodies import check_scene
+from pgccd.detection.checks import check_pairs
 from pgccd.detection.contacts import COLUMNS, CollidingPairs, Contacts, earliest_row
 from pgccd.detection.grouping import By
 from pgccd.detection.query import Query
@@ -52,12 +52,17 @@ class TrajectoryContacts(Contacts):
         return self._first_time(self.time, by)
 
 
-#: Finds the contacts of one step.
-DetectStep = Callable[[Scene, RigidMotion | VertexMotion, narrow.Report], Contacts | CollidingPairs]
+class DetectStep(Protocol):
+    """Finds the contacts of one step."""
+
+    def __call__(
+        self, scene: Scene, motion: RigidMotion | VertexMotion, report: narrow.Report, *, pairs: Tensor | None
+    ) -> Contacts | CollidingPairs:
+        """As `pgccd.detect`."""
 
 
 def detect_trajectory(
-    scene: Scene, trajectory: Trajectory, query: Query, detect_step: DetectStep
+    scene: Scene, trajectory: Trajectory, query: Query, detect_step: DetectStep, pairs: Tensor | None = None
 ) -> TrajectoryContacts | CollidingPairs:
     """`pgccd.detect` for a trajectory.
 
@@ -77,24 +82,30 @@ def detect_trajectory(
         raise ValueError(f"motion: has {rows} {what}, the scene {expected}")
     # "earliest" selects from the first contacts of all segments.
     report: narrow.Report = "first" if query.report == "earliest" else query.report
-    found = detect_step(repeated(scene, segments), steps, report)
+    copies = repeated(scene, segments)
+    copies.margin = trajectory._margins(copies.margin, count)
+    if pairs is not None:
+        given = check_pairs(pairs, scene, trajectory.orientation is None, ascending=True)
+        first_body = torch.arange(segments, device=scene.device)[:, None, None] * count
+        pairs = (given + first_body).reshape(-1, 2)
+    found = detect_step(copies, steps, report, pairs=pairs)
     of_pairs = found.pairs
     segment = torch.div(of_pairs[:, 0], max(1, count), rounding_mode="floor")
-    pairs = of_pairs - segment[:, None] * count
+    bodies = of_pairs - segment[:, None] * count
     stats = replace(found.stats, bodies=count, needed=None)
     if isinstance(found, CollidingPairs):
-        pairs = torch.unique(pairs, dim=0) if len(pairs) else pairs
-        stats.contacts = len(pairs)
-        colliding = CollidingPairs(pairs=pairs, stats=stats)
+        bodies = torch.unique(bodies, dim=0) if len(bodies) else bodies
+        stats.contacts = len(bodies)
+        colliding = CollidingPairs(pairs=bodies, stats=stats)
         colliding.scene = scene
         return colliding
     chosen: Tensor | slice = slice(None)
     if query.report == "first":
-        chosen = _first_of_pairs(pairs, count)
-    elif query.report == "earliest" and len(pairs):
+        chosen = _first_of_pairs(bodies, count)
+    elif query.report == "earliest" and len(bodies):
         first = segment[0]  # rows are sorted by segment
         chosen = earliest_row(torch.where(segment == first, found.toi, torch.inf))
-    columns = {name: column[chosen] for name, column in (found.columns | {"pairs": pairs}).items()}
+    columns = {name: column[chosen] for name, column in (found.columns | {"pairs": bodies}).items()}
     segment = segment[chosen]
     time = time_along(segment, columns["toi"], segments)
     stats.contacts = len(segment)
@@ -142,6 +153,7 @@ def repeated(scene: Scene, times: int) -> Scene:
     radius = scene._current_radius().repeat(times)
     many = Scene._of_checked(scene.meshes, scene.mesh_index.repeat(times), own, radius, **columns)
     many._capacity_estimates = scene._capacity_estimates
+    many.exclude, many._exclude_period = scene.exclude, scene.body_count
     return many
 
 

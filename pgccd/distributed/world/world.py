@@ -416,8 +416,10 @@ class World(Generic[R]):
         if isinstance(motion, Trajectory):
             own = scene_columns(self.columns)
             require_rows(motion, self._meshes, own["mesh_index"])
-            segments = Segments.agreed(self.comm, motion.segment_count, own)
+            segments = Segments.agreed(self.comm, motion, own)
             own = segments.repeat(own)
+            if (margin := motion._margins(own.get("margin"), len(self.id))) is not None:
+                own["margin"] = margin
             # The earliest is selected from the first contacts of all segments.
             report: narrow.Report = "first" if self.options.report == "earliest" else self.options.report
             options = replace(self.options, report=report)
