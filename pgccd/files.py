@@ -15,7 +15,7 @@ from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
 
-__all__ = ["load_motion", "load_scene"]
+__all__ = ["load_configurations", "load_motion", "load_scene"]
 
 _START = ("position_t0", "orientation_t0")
 _END = ("position_t1", "orientation_t1")
@@ -55,11 +55,7 @@ def load_motion(
         >>> motion = pgccd.files.load_motion("poses.npz")
     """
     path, device = arguments.path(path, "path"), arguments.device(device)
-    try:
-        with np.load(path) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-    except Exception as error:
-        raise ValueError(f"{path} cannot be read as an npz file: {error}") from error
+    arrays = _arrays(path)
     _require_known(path, arrays, (*_START, *_END, *_VELOCITY, *_VERTICES, *_WAYPOINTS))
     required, others = next((kind for kind in _KINDS if any(name in arrays for name in kind[0])), _KINDS[-1])
     for name in arrays:
@@ -94,6 +90,30 @@ def load_motion(
         return RigidMotion(position, orientation, position_t1, orientation_t1)
     except (TypeError, ValueError, RuntimeError) as error:
         raise ValueError(f"{path}: {error}") from error
+
+
+def load_configurations(path: str | PathLike[str]) -> torch.Tensor:
+    """Configurations of a robot, (T, J) float64, from an npz file that holds them as q.
+
+    Args:
+        path: of the file.
+
+    Raises:
+        ValueError: the file cannot be read, or holds something else.
+
+    Example:
+        >>> np.savez("path.npz", q=np.zeros((2, 6)))
+        >>> pgccd.files.load_configurations("path.npz").shape
+        torch.Size([2, 6])
+    """
+    path = arguments.path(path, "path")
+    arrays = _arrays(path)
+    if set(arrays) != {"q"}:
+        raise ValueError(f"{path}: expected q (T, J), got {', '.join(sorted(arrays)) or 'nothing'}")
+    q = _as_column(path, "q", arrays["q"])
+    if q.dim() != 2:
+        raise ValueError(f"{path}: q: expected shape (T, J), got {tuple(q.shape)}")
+    return q
 
 
 def load_scene(
@@ -142,6 +162,15 @@ def load_scene(
     except (OSError, TypeError, ValueError) as error:
         raise ValueError(f"{path}: {error}") from error
     return scene, load_motion(path.parent / content["poses"], device)
+
+
+def _arrays(path: str | PathLike[str]) -> dict[str, np.ndarray]:
+    """All arrays of an npz file."""
+    try:
+        with np.load(path) as archive:
+            return {name: archive[name] for name in archive.files}
+    except Exception as error:
+        raise ValueError(f"{path} cannot be read as an npz file: {error}") from error
 
 
 def _require_known(path: str | PathLike[str], given: Iterable[str], known: Sequence[str]) -> None:

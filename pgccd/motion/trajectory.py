@@ -164,9 +164,9 @@ class Trajectory:
         """Raises ValueError unless each rotation leads from one orientation to the next."""
         turned = integrate_orientation(orientation[:-1].reshape(-1, 4), rotation.reshape(-1, 3))
         reached = orientation[1:].reshape(-1, 4)
-        reached = reached / reached.norm(dim=1, keepdim=True)
-        off = torch.minimum((turned - reached).norm(dim=1), (turned + reached).norm(dim=1))
-        allowed = _ROUNDING * self._unit * (1.0 + rotation.reshape(-1, 3).norm(dim=1))
+        reached = reached / _length(reached)[:, None]
+        off = torch.minimum(_length(turned - reached), _length(turned + reached))
+        allowed = _ROUNDING * self._unit * (1.0 + _length(rotation.reshape(-1, 3)))
         wrong = off > allowed
         if bool(wrong.any()):
             row = int(wrong.long().argmax())
@@ -243,6 +243,14 @@ class Trajectory:
             return RigidMotion.from_rotation(start, first, end, self.rotation[segments].reshape(-1, 3), self.path)
         turn = (self.orientation[rows].reshape(-1, 4) for rows in (segments, ends))
         return RigidMotion(start, next(turn), end, next(turn), self.path)
+
+
+def _length(rows: Tensor) -> Tensor:
+    """(K,) lengths of rows (K, n), summed in the same order on every device."""
+    total = torch.zeros_like(rows[:, 0])
+    for column in rows.unbind(1):
+        total = total + column * column
+    return total.sqrt()
 
 
 def _turned(orientation: Tensor, rotation: Tensor) -> Tensor:
