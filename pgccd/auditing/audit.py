@@ -1,0 +1,185 @@
+"""`pgccd.audit`: what happened between the frames of a rollout."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from pgccd import arguments
+from pgccd.auditing.closing import closing_rates
+from pgccd.auditing.results import Audit, Passages, Touching
+from pgccd.auditing.runs import Runs
+from pgccd.auditing.windows import Frame, windows
+from pgccd.detection import broad
+from pgccd.detection.checks import warn_of_only_body
+from pgccd.detection.contacts import CollidingPairs, Contacts
+from pgccd.detection.pipeline import DetectOptions, detect
+from pgccd.detection.query import Query
+from pgccd.detection.streaming import join_contacts
+from pgccd.detection.trajectories import detect_segments, repeated, time_along
+from pgccd.geometry.scene import Scene
+from pgccd.motion.paths import PATHS, PathKind, RigidMotion, VertexMotion
+from pgccd.motion.trajectory import Trajectory
+
+
+def audit(
+    scene: Scene,
+    trajectory: Trajectory | Iterable[Frame],
+    min_separation: float = 0.0,
+    *,
+    path: PathKind = "rigid",
+    tolerance: float | None = None,
+    broad_phase: broad.BroadPhase = "auto",
+    memory_budget: int | None = None,
+    keep: int = 16,
+) -> Audit:
+    """Finds every passage between the frames of a rollout that the frames do not show.
+
+    A pair of bodies *touches* at a time if its surfaces, thickened by the margins of the scene, come within
+    min_separation then. A *passage* is a pair and a segment, from one frame to the next, such that
+
+    * the pair touches at neither frame: a test of the frames alone finds nothing; and
+    * it touches in between, on the paths that `Trajectory` defines between the two frames.
+
+    No passage is missed on these paths, and each comes within min_separation + tolerance at its toi. A pair that
+    touches at a frame is no passage in the segments before and after it, whatever it does there: the frames show it.
+    Such pairs are listed apart, as runs of frames (`Audit.touching`): resting contacts, and bodies that intersect where
+    a segment starts or ends. A body wholly inside another one does not touch its surface, see `pgccd.enclosed`. Whether
+    a pair touches at a frame is decided by a detection of the bodies at rest, with the same tolerance.
+
+    Margins of the trajectory, `Trajectory(margin=...)`, count between frames only: with them no passage on the true
+    path is missed, but one may be reported that comes close without touching.
+
+    The frames are taken a few thousand bodies at a time, so that memory does not grow with their number, except by what
+    is found. Bits of the result do not depend on that.
+
+    Args:
+        scene: the bodies.
+        trajectory: a `Trajectory`; or any iterable of frames, such as a generator that runs a simulator: pairs of
+            positions (N, 3) and orientations (N, 4), as tensors or arrays, or vertices (X, 3) of deforming bodies. See
+            `pgccd.simulators`, which makes frames of simulators, and `pgccd.files.iterate_frames`. Frames are copied.
+        min_separation, tolerance, broad_phase, memory_budget: as for `pgccd.detect`.
+        path: of the bodies between frames, "rigid" or "linear", as for `Trajectory`; of a `Trajectory` its own counts.
+        keep: number of segments, those with the deepest passages, whose poses are kept for a picture
+            (`Audit.steps`).
+
+    Returns:
+        `Audit`, on the scene's device. Synchronises with a GPU.
+
+    Raises:
+        TypeError, ValueError: naming the argument, and the frame.
+
+    Example:
+        >>> found = pgccd.audit(scene, [(x0, q0), (x0 + 2.0 * v, q1)])  # two frames, apart at both
+        >>> found.passages.pairs, found.passages.segment
+        (tensor([[0, 1]]), tensor([0]))
+    """
+    Query("first", min_separation, tolerance, False)  # checks them
+    if not isinstance(scene, Scene):
+        raise TypeError(f"scene: expected a pgccd.Scene, got {arguments.describe(scene)}")
+    arguments.choice(path, "path", PATHS)
+    if memory_budget is not None:
+        memory_budget = arguments.integer(memory_budget, "memory_budget", 1, "a number of bytes > 0")
+    keep = arguments.integer(keep, "keep", 0, "a number of segments >= 0")
+    options: DetectOptions = {"tolerance": tolerance, "broad_phase": broad_phase, "memory_budget": memory_budget}
+    auditor = _Auditor(scene, partial(detect, min_separation=min_separation, **options), keep)
+    for part in windows(scene, trajectory, path):
+        if auditor.segments == 0 and scene.body_count == 1:
+            warn_of_only_body(scene, part)
+        auditor.take(part)
+    return auditor.conclude()
+
+
+@dataclass
+class _Auditor:
+    scene: Scene
+    detect: Any  # pgccd.detect with its options
+    keep: int
+    segments: int = 0  # so far
+    parts: list[Contacts] = field(default_factory=list)  # passages, of each window
+    columns: list[tuple[Tensor, Tensor]] = field(default_factory=list)  # their segments and approach
+    touching: Runs = field(default_factory=Runs)
+    kept: list[tuple[float, int, RigidMotion | VertexMotion]] = field(default_factory=list)
+    last: tuple[Trajectory, Tensor] | None = None  # the last window, and the pairs that touch at its last segment
+
+    def take(self, part: Trajectory) -> None:
+        """Finds the passages of the next segments."""
+        found, segment, pairs = detect_segments(self.scene, part, "first", self.detect)
+        assert isinstance(found, Contacts)
+        # A contact at toi 0 is one of the frame; of the others the frames at both ends are tested.
+        starts, ends = found.toi == 0.0, torch.zeros_like(segment, dtype=torch.bool)
+        later = torch.nonzero(~starts).flatten()
+        if len(later):
+            frame = torch.cat([segment[later], segment[later] + 1])
+            starts[later], ends[later] = self._touch(part, frame, pairs[later].repeat(2, 1)).chunk(2)
+        frame = torch.cat([segment[starts], segment[ends] + 1]) + self.segments
+        self.touching.add(torch.cat([pairs[starts], pairs[ends]]), frame, self.segments)
+        self.last = part, pairs[segment == part.segment_count - 1]
+        rows = torch.nonzero(~starts & ~ends).flatten()
+        passing, segment, pairs = found[rows], segment[rows], pairs[rows]
+        passing.pairs = pairs
+        passing.stats.bodies = self.scene.body_count
+        approach = closing_rates(self.scene, part, passing, segment, pairs)
+        self._keep_deepest(part, segment, _measure(passing.toi, approach))
+        self.parts.append(passing)
+        self.columns.append((segment + self.segments, approach))
+        self.segments += part.segment_count
+
+    def _touch(self, part: Trajectory, frame: Tensor, pairs: Tensor) -> Tensor:
+        """(K,) bool: whether pairs (K, 2) touch at frames (K,) of a window."""
+        count = self.scene.body_count
+        frames, copy = torch.unique(frame, return_inverse=True)
+        copies = repeated(self.scene, len(frames))
+        position = part.position[frames].reshape(-1, 3)
+        if part.orientation is None:
+            still: RigidMotion | VertexMotion = VertexMotion(position, position)
+        else:
+            still = RigidMotion.at_rest(position, part.orientation[frames].reshape(-1, 4))
+        asked, row = torch.unique(pairs + copy[:, None] * count, dim=0, return_inverse=True)
+        found = self.detect(copies, still, "any", pairs=asked)
+        assert isinstance(found, CollidingPairs)
+        total = len(frames) * count
+        return torch.isin(asked[:, 0] * total + asked[:, 1], found.pairs[:, 0] * total + found.pairs[:, 1])[row]
+
+    def _keep_deepest(self, part: Trajectory, segment: Tensor, measure: Tensor) -> None:
+        if not len(segment) or self.keep == 0:
+            return
+        which, row = torch.unique(segment, return_inverse=True)
+        deepest = torch.zeros_like(which, dtype=torch.float64).scatter_reduce_(0, row, measure, "amax")
+        order = torch.argsort(deepest, descending=True, stable=True)[: self.keep]
+        threshold = self.kept[-1][0] if len(self.kept) == self.keep else -1.0
+        for depth, index in zip(deepest[order].tolist(), which[order].tolist(), strict=True):
+            if depth > threshold:
+                self.kept.append((depth, self.segments + index, part.segment(index)))
+        self.kept = sorted(self.kept, key=lambda each: (-each[0], each[1]))[: self.keep]
+
+    def conclude(self) -> Audit:
+        """The result."""
+        assert self.last is not None
+        part, pairs = self.last
+        if len(pairs):
+            end = torch.full_like(pairs[:, 0], part.segment_count)
+            pairs = pairs[self._touch(part, end, pairs)]
+            self.touching.add(pairs, torch.full_like(pairs[:, 0], self.segments), self.segments)
+        joined = join_contacts(self.parts, [each.pairs for each in self.parts])
+        segment, approach = (torch.cat(column) for column in zip(*self.columns, strict=True))
+        passages = Passages(
+            **joined.columns,
+            stats=joined.stats,
+            segment=segment,
+            time=time_along(segment, joined.columns["toi"], self.segments),
+            approach=approach,
+            measure=_measure(joined.columns["toi"], approach),
+        )
+        passages.scene = self.scene
+        kept = sorted((segment, motion) for _, segment, motion in self.kept)
+        return Audit(passages, Touching(*self.touching.conclude(self.scene.device)), self.segments + 1, kept)
+
+
+def _measure(toi: Tensor, approach: Tensor) -> Tensor:
+    return (1.0 - toi) * approach
