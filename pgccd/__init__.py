@@ -28,11 +28,11 @@ from pgccd.resolution.results import PaddedResolution, Resolution
 from pgccd.resolution.trajectories import TrajectoryResolution
 
 if _TYPE_CHECKING:
-    from pgccd import about, baselines, distributed, files, robots, sim, viz
+    from pgccd import about, baselines, distributed, files, robots, sim, simulators, viz
     from pgccd.viz import show
 
 # Imported on first use: they load more modules than detection needs.
-_LATER = ("about", "baselines", "distributed", "files", "robots", "sim", "viz")
+_LATER = ("about", "baselines", "distributed", "files", "robots", "sim", "simulators", "viz")
 
 __version__: str = _build_information()["version"]
 
@@ -76,6 +76,7 @@ __all__ = [
     "robots",
     "show",
     "sim",
+    "simulators",
     "traverse",
     "viz",
 ]

@@ -13,15 +13,15 @@ from pgccd.motion.rotation import integrate_orientation
 from pgccd.motion.trajectory import Trajectory
 
 
-def closing_rates(scene: Scene, trajectory: Trajectory, found: Contacts, segment: Tensor, pairs: Tensor) -> Tensor:
+def closing_rates(scene: Scene, trajectory: Trajectory, found: Contacts, segment: Tensor) -> Tensor:
     """(K,) float64 lengths per segment, >= 0: the rate at which the gap closes along the normal at toi.
 
     Args:
         found: K contacts of vertices with faces and of edges, with toi > 0. Where the gap is zero at toi up to rounding
             the side of the normal is undefined; but the gap has closed, so that the sign is known.
-        segment, pairs: (K,) and (K, 2), of the trajectory and the scene.
+        segment: (K,).
     """
-    steps = trajectory.steps()
+    steps, pairs = trajectory.steps(), found.pairs
     body = segment[:, None] * scene.body_count + pairs
     if isinstance(steps, RigidMotion) and steps.path == "rigid":
         # Of the points of each body on the line along the normal all have the same speed along it.

@@ -14,7 +14,7 @@ from pgccd.motion.paths import RigidMotion, VertexMotion
 
 @dataclass(eq=False, kw_only=True, repr=False)
 class Passages(TrajectoryContacts):
-    """Passages between frames that the frames do not show: the first contact of each, sorted by segment and pair.
+    """Passages between frames: the first contact of each, sorted by segment and pair.
 
     Attributes:
         segment: (K,) int64: from frame `segment` to the next.
@@ -66,15 +66,18 @@ class Audit:
     Attributes:
         passages: between frames that do not show them.
         touching: pairs that touch at frames.
+        enclosed: of pairs that touch at neither frame, but of which one body is wholly inside the other one at a frame:
+            they pass the surface of a solid, into it or out of it.
         frames: number of frames.
 
     Example:
         >>> pgccd.audit(scene, [(x0, q0), (x1, q1)])
-        Audit(frames=2, passages=0, touching=1)
+        Audit(frames=2, passages=0, touching=1, enclosed=0)
     """
 
     passages: Passages
     touching: Touching
+    enclosed: Passages
     frames: int
     # Segments with the largest measures, and the motion of all bodies in them.
     _kept: list[tuple[int, RigidMotion | VertexMotion]] = field(default_factory=list)
@@ -96,4 +99,5 @@ class Audit:
         return [motion for _, motion in self._kept], contacts
 
     def __repr__(self) -> str:
-        return f"Audit(frames={self.frames}, passages={len(self.passages)}, touching={len(self.touching)})"
+        counts = {name: len(getattr(self, name)) for name in ("passages", "touching", "enclosed")}
+        return f"Audit(frames={self.frames}, {', '.join(f'{name}={count}' for name, count in counts.items())})"
