@@ -60,7 +60,8 @@ def audit(
       one at a frame. A body that is not watertight has no inside.
 
     Margins of the trajectory, `Trajectory(margin=...)`, count between frames only: with them no passage on the true
-    path is missed, but one may be reported that comes close without touching.
+    path is missed, but one may be reported that comes close without touching; at toi 0 where the pair is within these
+    margins at the frame.
 
     The frames are taken a few thousand bodies at a time, so that memory does not grow with their number, except by what
     is found. Bits of the result do not depend on that.
@@ -143,8 +144,8 @@ class _Auditor:
         found, segment, pairs = detect_segments(self.scene, part, "first", self.detect)
         assert isinstance(found, Contacts)
         found.pairs, found.stats.bodies = pairs, self.scene.body_count
-        # A contact at toi 0 is one of the frame; of the others the frames at both ends are tested.
-        starts, ends = found.toi == 0.0, torch.zeros_like(segment, dtype=torch.bool)
+        # A contact at toi 0 is one of the frame, unless paths have margins; of the others both frames are tested.
+        starts, ends = (found.toi == 0.0) & (part.margin is None), torch.zeros_like(segment, dtype=torch.bool)
         later = torch.nonzero(~starts).flatten()
         starts[later], ends[later] = self._at_both_ends(part, segment[later], pairs[later], self._touch)
         frame = torch.cat([segment[starts], segment[ends] + 1]) + self.segments

@@ -8,7 +8,7 @@ from torch import Tensor
 from pgccd.detection.contacts import Contacts
 from pgccd.detection.narrow import Kind
 from pgccd.geometry.scene import Scene
-from pgccd.motion.paths import RigidMotion
+from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.rotation import integrate_orientation
 from pgccd.motion.trajectory import Trajectory
 
@@ -17,8 +17,8 @@ def closing_rates(scene: Scene, trajectory: Trajectory, found: Contacts, segment
     """(K,) float64 lengths per segment, >= 0: the rate at which the gap closes along the normal at toi.
 
     Args:
-        found: K contacts of vertices with faces and of edges, with toi > 0. Where the gap is zero at toi up to rounding
-            the side of the normal is undefined; but the gap has closed, so that the sign is known.
+        found: K contacts of vertices with faces and of edges. Where the gap is zero at toi up to rounding the side of
+            the normal is undefined; but if toi > 0 the gap has closed, so that the sign is known.
         segment: (K,).
     """
     steps, pairs = trajectory.steps(), found.pairs
@@ -27,32 +27,50 @@ def closing_rates(scene: Scene, trajectory: Trajectory, found: Contacts, segment
         # Of the points of each body on the line along the normal all have the same speed along it.
         travel = steps.position_t1[body] - steps.position_t0[body]
         arm = found.point[:, None] - (steps.position_t0[body] + found.toi[:, None, None] * travel)
-        velocity = travel + torch.linalg.cross(steps.rotation[body], arm)
-        return _speed_along(found.normal, velocity[:, 0] - velocity[:, 1])
-    mesh = scene.mesh_index[pairs].long()
-    rows, weights = _corners(scene, mesh, found)
-    if isinstance(steps, RigidMotion):
-        own = scene.meshes.tensors[0][scene.meshes.offsets.to(scene.device)[mesh, 0][..., None] + rows]
-        start = steps.orientation_t0[body].reshape(-1, 4)
-        end = integrate_orientation(start, steps.rotation[body].reshape(-1, 3))
-        before, after = (_turned(q.view(*body.shape, 1, 4), own) for q in (start, end))
-        moved = after - before + (steps.position_t1[body] - steps.position_t0[body])[:, :, None]
+        velocity = travel + _cross(steps.rotation[body], arm)
     else:
+        rows, weights = _corners(scene, scene.mesh_index[pairs].long(), found)
+        u, v, w = (weights[..., None] * _paths(scene, steps, segment, pairs, rows)).unbind(dim=2)
+        velocity = u + v + w
+    x, y, z = (found.normal * (velocity[:, 0] - velocity[:, 1])).unbind(dim=1)
+    rate = x + y + z
+    return torch.where(found.toi > 0.0, rate.abs(), rate.clamp(min=0.0))
+
+
+def _paths(scene: Scene, steps: RigidMotion | VertexMotion, segment: Tensor, pairs: Tensor, rows: Tensor) -> Tensor:
+    """(K, 2, 3, 3): by how much vertices move in a segment, on straight paths.
+
+    Args:
+        steps: the bodies of all segments.
+        segment, pairs: (K,) and (K, 2).
+        rows: (K, 2, 3) vertices of their meshes.
+    """
+    if isinstance(steps, VertexMotion):
         first = segment[:, None] * scene.layout.vertex_count + scene.layout.vertex_begin[pairs]
-        moved = (steps.x_t1 - steps.x_t0)[first[..., None] + rows]
-    velocity = (weights[..., None] * moved).sum(dim=2)
-    return _speed_along(found.normal, velocity[:, 0] - velocity[:, 1])
+        which = first[..., None] + rows
+        return steps.x_t1[which] - steps.x_t0[which]
+    mesh = scene.mesh_index[pairs].long()
+    own = scene.meshes.tensors[0][scene.meshes.offsets.to(scene.device)[mesh, 0][..., None] + rows]
+    body = (segment[:, None] * scene.body_count + pairs)[..., None].expand(rows.shape).reshape(-1)
+    turn = steps.rotation[body]
+    before, after = (
+        _turned(integrate_orientation(steps.orientation_t0[body], by), own.reshape(-1, 3))
+        for by in (torch.zeros_like(turn), turn)
+    )
+    return (after - before + (steps.position_t1[body] - steps.position_t0[body])).view(own.shape)
 
 
 def _turned(orientation: Tensor, vectors: Tensor) -> Tensor:
-    """Vectors (..., 3) turned by quaternions (..., 4), of any length."""
-    orientation = orientation / orientation.norm(dim=-1, keepdim=True)
-    w, axis = orientation[..., :1], orientation[..., 1:].expand_as(vectors)
-    return vectors + 2.0 * torch.linalg.cross(axis, torch.linalg.cross(axis, vectors) + w * vectors)
+    """Vectors (K, 3) turned by unit quaternions (K, 4)."""
+    twice = 2.0 * _cross(orientation[:, 1:], vectors)
+    return vectors + orientation[:, :1] * twice + _cross(orientation[:, 1:], twice)
 
 
-def _speed_along(normal: Tensor, velocity: Tensor) -> Tensor:
-    return (normal * velocity).sum(dim=1).abs()
+def _cross(a: Tensor, b: Tensor) -> Tensor:
+    # Not torch's, which may round differently on another device.
+    x, y, z = a.unbind(dim=-1)
+    u, v, w = b.unbind(dim=-1)
+    return torch.stack([y * w - z * v, z * u - x * w, x * v - y * u], dim=-1)
 
 
 def _corners(scene: Scene, mesh: Tensor, found: Contacts) -> tuple[Tensor, Tensor]:
