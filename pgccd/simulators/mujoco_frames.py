@@ -19,7 +19,7 @@ class MuJoCo:
 
     Not tested are the pairs that MuJoCo does not test: by contype and conaffinity, of one body, of bodies that are
     rigidly joined, of parent and child (unless the model disables that filter), and those of elements `exclude`.
-    Elements `pair` are not looked at. Geoms of the world are static.
+    Elements `pair` are not looked at. Geoms that no degree of freedom moves are static, those of mocap bodies too.
 
     Args:
         model: a `mujoco.MjModel`.
@@ -53,7 +53,7 @@ class MuJoCo:
             bodies.add(name, key, lambda k=k: _surface(mujoco, model, k, nameless))  # type: ignore[misc]
         self.names = bodies.names
         owner = model.geom_bodyid[self.geoms]
-        static = (model.body_weldid[owner] == 0) & (model.body_mocapid[model.body_rootid[owner]] < 0)
+        static = model.body_treeid[owner] < 0  # no degree of freedom moves it
         # MuJoCo asks whether one's contype has a bit in common with the other's conaffinity, or the other way round;
         # a scene, whether both do.
         kind, affinity = (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -17,8 +18,8 @@ class Newton:
     """The shapes of a Newton model that may collide, as the bodies of a scene on the device of the model.
 
     Shapes of all worlds are tested against those of their world; for shapes that belong to no world there is a body in
-    each. Not tested are the model's `shape_collision_filter_pairs`; collision groups are not looked at. Shapes that
-    belong to no body are static.
+    each. Not tested are shapes of one body, and the model's `shape_collision_filter_pairs`; collision groups are not
+    looked at. Shapes that belong to no body are static.
 
     Args:
         model: a `newton.Model`.
@@ -58,7 +59,9 @@ class Newton:
         self.names = bodies.names
         self.shapes = np.array([k for k, _ in rows])
         place = {row: number for number, row in enumerate(rows)}
-        filtered = [(int(a), int(b)) for a, b in model.shape_collision_filter_pairs]
+        filtered = {(int(a), int(b)) for a, b in model.shape_collision_filter_pairs}
+        for own in (np.flatnonzero(owner == body).tolist() for body in range(model.body_count)):
+            filtered |= set(combinations(own, 2))
         pairs = [(place.get((a, w)), place.get((b, w))) for a, b in filtered for w in worlds]
         exclude = [(i, j) for i, j in pairs if i is not None and j is not None]
         device = torch.device(str(model.device))

@@ -19,7 +19,8 @@ class PyBullet:
     """The collision shapes of a PyBullet world, as the bodies of a scene.
 
     Shapes of one multibody are not tested against each other, as PyBullet does by default; its other filters are not
-    looked at. Shapes of bases without mass and links are static.
+    looked at. Shapes of bases without mass and links are static. Height fields are not in the scene, since PyBullet
+    does not tell their shape.
 
     Args:
         client: number of the physics server, as `pybullet.connect` returns it.
@@ -31,8 +32,8 @@ class PyBullet:
         links: (N) body and link of each, as PyBullet numbers them.
 
     Raises:
-        ValueError: a shape has no surface known here, such as a height field; naming it. Or there are none.
-        ImportError: pybullet is not installed.
+        ValueError: the surface of a shape is not known, as of triangles without a file; naming it. Or there are none.
+        ImportError: pybullet is not installed; or scipy, if there are hulls of points.
 
     Example:
         >>> simulator = pgccd.simulators.PyBullet(client)
@@ -55,9 +56,18 @@ class PyBullet:
             for link in range(-1, joints):
                 if link >= 0:
                     names[0] = pybullet.getJointInfo(body, link, physicsClientId=client)[12].decode()
-                for shape in pybullet.getCollisionShapeData(body, link, physicsClientId=client):
+                for number, shape in enumerate(pybullet.getCollisionShapeData(body, link, physicsClientId=client)):
                     name = f"body {body}, {names[1] or 'multibody'}, {names[0] or f'link {link}'}"
-                    bodies.add(name, shape[2:], lambda shape=shape: _surface(pybullet, *shape[2:]))  # type: ignore[misc]
+                    # Hulls of points, as PyBullet makes of cylinders in URDF files, have no file.
+                    is_hull = shape[2] == pybullet.GEOM_MESH and shape[4] in (b"", b"unknown_file")
+                    points = None
+                    if is_hull:
+                        points = pybullet.getMeshData(body, link, number, physicsClientId=client)[1]
+                    bodies.add(
+                        name,
+                        (*shape[2:], points),
+                        lambda shape=shape, points=points: _surface(pybullet, points, *shape[2:]),  # type: ignore[misc]
+                    )
                     self.links.append((body, link))
                     static.append(joints == 0 and mass == 0.0)
             exclude += combinations(range(first, len(self.links)), 2)
@@ -81,7 +91,13 @@ class PyBullet:
 
 
 def _surface(
-    bullet: Any, kind: int, size: tuple[float, ...], file: bytes, at: tuple[float, ...], turn: tuple[float, ...]
+    bullet: Any,
+    points: Any,
+    kind: int,
+    size: tuple[float, ...],
+    file: bytes,
+    at: tuple[float, ...],
+    turn: tuple[float, ...],
 ) -> ThickSurface:
     """The surface of a shape in the frame of its link's centre of mass."""
     if kind == bullet.GEOM_BOX:
@@ -94,10 +110,26 @@ def _surface(
         made = shapes.cylinder(size[1], 0.5 * size[0])
     elif kind == bullet.GEOM_PLANE:
         made = shapes.plane(0.0, 0.0)
-    elif kind == bullet.GEOM_MESH and file not in (b"", b"unknown_file"):
+    elif points:
+        return _hull(np.array(points))  # placed already
+    elif kind == bullet.GEOM_MESH and points is None:
         mesh = Mesh.load(file.decode())
         made = ThickSurface(mesh.vertices.numpy() * np.array(size), mesh.faces.long().numpy())
     else:
         raise ValueError(f"expected a box, sphere, capsule, cylinder, plane or mesh file, got PyBullet's kind {kind}")
     q = np.array(turn)[[3, 0, 1, 2]]
     return made.placed(np.array(at), q / np.linalg.norm(q))
+
+
+def _hull(points: np.ndarray) -> ThickSurface:
+    """The convex hull of points (n, 3)."""
+    try:
+        from scipy.spatial import ConvexHull
+    except ImportError as error:
+        raise ImportError(f"scipy makes convex hulls of points: pip install scipy ({error})") from error
+    hull = ConvexHull(points)
+    faces = hull.simplices.astype(np.int64)
+    a, b, c = points[faces].transpose(1, 0, 2)
+    inwards = np.einsum("fk,fk->f", np.cross(b - a, c - a), hull.equations[:, :3]) < 0.0
+    faces[inwards] = faces[inwards][:, ::-1]
+    return ThickSurface(points, faces)
