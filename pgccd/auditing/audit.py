@@ -39,7 +39,6 @@ def audit(
     path: PathKind = "rigid",
     tolerance: float | None = None,
     broad_phase: broad.BroadPhase = "auto",
-    memory_budget: int | None = None,
     keep: int = 16,
 ) -> Audit:
     """Finds every passage between the frames of a rollout that the frames do not show.
@@ -71,7 +70,7 @@ def audit(
         trajectory: a `Trajectory`; or any iterable of frames, such as a generator that runs a simulator: pairs of
             positions (N, 3) and orientations (N, 4), as tensors or arrays, or vertices (X, 3) of deforming bodies. See
             `pgccd.simulators`, which makes frames of simulators, and `pgccd.files.iterate_frames`. Frames are copied.
-        min_separation, tolerance, broad_phase, memory_budget: as for `pgccd.detect`.
+        min_separation, tolerance, broad_phase: as for `pgccd.detect`.
         path: of the bodies between frames, "rigid" or "linear", as for `Trajectory`; of a `Trajectory` its own counts.
         keep: number of segments, those with the deepest passages, whose poses are kept for a picture
             (`Audit.steps`).
@@ -91,10 +90,8 @@ def audit(
     if not isinstance(scene, Scene):
         raise TypeError(f"scene: expected a pgccd.Scene, got {arguments.describe(scene)}")
     arguments.choice(path, "path", PATHS)
-    if memory_budget is not None:
-        memory_budget = arguments.integer(memory_budget, "memory_budget", 1, "a number of bytes > 0")
     keep = arguments.integer(keep, "keep", 0, "a number of segments >= 0")
-    options: DetectOptions = {"tolerance": tolerance, "broad_phase": broad_phase, "memory_budget": memory_budget}
+    options: DetectOptions = {"tolerance": tolerance, "broad_phase": broad_phase}
     auditor = _Auditor(scene, partial(detect, min_separation=min_separation, **options), keep)
     for part in windows(scene, trajectory, path):
         if auditor.segments == 0 and scene.body_count == 1:

@@ -83,7 +83,7 @@ class MuJoCo:
 
     def frame(self, data: Any) -> tuple[Tensor, Tensor]:
         """Positions (N, 3) and orientations (N, 4) of the bodies now. Calls `mj_kinematics`, since `mj_step` leaves the
-        poses of geoms at the state before the step.
+        poses of geoms at the state before the step. Nothing is checked.
 
         Args:
             data: the `mujoco.MjData`.

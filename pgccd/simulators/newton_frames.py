@@ -74,6 +74,7 @@ class Newton:
 
     def frame(self, state: Any) -> tuple[Tensor, Tensor]:
         """Positions (N, 3) and orientations (N, 4) of the bodies now, float32, from a view of the state's memory.
+        Nothing is checked.
 
         Args:
             state: the `newton.State`.

@@ -347,7 +347,6 @@ def test_errors_of_options() -> None:
         "tolerance": -1.0,
         "path": "arc",
         "keep": -1,
-        "memory_budget": 0,
     }.items():
         with pytest.raises(ValueError, match=f"{name}: expected"):
             pgccd.audit(scene, rollout, **{name: value})  # type: ignore[arg-type]
