@@ -251,6 +251,19 @@ def same(a: pgccd.Audit, b: pgccd.Audit) -> bool:
     return a.passages == b.passages and a.enclosed == b.enclosed and runs[0] == runs[1] and a.frames == b.frames
 
 
+@pytest.mark.cuda
+@pytest.mark.parametrize("path", ["rigid", "linear"])
+def test_bits_are_the_same_on_a_gpu(path: str) -> None:
+    rollout = tumbling(np.random.default_rng(1), 12, 9, 2.0)
+    found = []
+    for device in ("cpu", "cuda"):
+        columns = (torch.tensor(c, device=device) for c in (rollout.position, rollout.orientation))
+        found.append(pgccd.audit(rollout.scene(device), pgccd.Trajectory(*columns, path=path)))  # type: ignore[arg-type,misc]
+    for of_cpu, of_gpu in ((getattr(each, name) for each in found) for name in ("passages", "enclosed")):
+        assert of_gpu.pairs.device.type == "cuda" and of_gpu.to("cpu") == of_cpu
+    assert runs_of(found[0].touching) == runs_of(found[1].touching)
+
+
 @pytest.mark.parametrize("rows", [1, 30, 64, 1000])
 def test_windows_do_not_change_the_result(rows: int, monkeypatch: pytest.MonkeyPatch) -> None:
     rollout = tumbling(np.random.default_rng(1), 12, 9, 2.0)

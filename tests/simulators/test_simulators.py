@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -280,3 +282,30 @@ def test_links_and_errors_of_pybullet(client: tuple[Any, int]) -> None:
     bullet.createMultiBody(0.0, triangles)
     with pytest.raises(ValueError, match="body 1, .*: expected a box, sphere"):
         pgccd.simulators.PyBullet(number)
+
+
+def test_guarded_steps_of_mujoco_tunnel_nothing() -> None:
+    """The function on the page about audits."""
+    mujoco = pytest.importorskip("mujoco")
+    text = (Path(__file__).resolve().parents[2] / "docs" / "how-to" / "audit.md").read_text()
+    names: dict[str, Any] = {"mujoco": mujoco, "np": np, "pgccd": pgccd}
+    exec(re.findall(r"```py\n(def guarded_step.*?)```", text, re.DOTALL)[0], names)
+    found = []
+    for guard in (False, True):
+        rng = np.random.default_rng(0)
+        margins = '<default><geom margin="0.005"/></default><worldbody>'
+        model = mujoco.MjModel.from_xml_string(MODEL.replace("<worldbody>", margins).format(darts(rng, 4), ""))
+        data = mujoco.MjData(model)
+        for k in range(4):
+            first = model.jnt_dofadr[model.body(f"dart{k}").jntadr[0]]
+            data.qvel[first : first + 6] = [0, 0, -rng.uniform(10, 60), *rng.normal(0, 30, 3)]
+        simulator, frames = pgccd.simulators.MuJoCo(model), []
+        while data.time < 0.2:
+            frames.append(simulator.frame(data))
+            if guard:
+                names["guarded_step"](model, data, simulator, 0.004)
+            else:
+                mujoco.mj_step(model, data)
+        found.append(pgccd.audit(simulator.scene, frames))
+    assert len(found[0].passages) > 2 and len(found[1].passages) == 0
+    assert found[0].frames < found[1].frames < 4 * found[0].frames
