@@ -55,9 +55,9 @@ def create_world(comm: distributed.Comm) -> distributed.World:
 
 
 # %%
-# The loop. With ``resolve=True`` `World.step` says how far each body of this rank can move such that no two meet, wherever
-# they live; a body that would meet another stops before it, and turns round. `World.move` writes the new state and
-# migrates bodies that have left this rank's part of space.
+# The loop. With ``resolve=True`` `World.step` says how far each body of this rank can move such that no two meet,
+# wherever they live; a body that would meet another stops before it, and turns round. `World.move` writes the new state
+# and migrates bodies that have left this rank's part of space.
 
 with distributed.connect(name) as comm:
     world = create_world(comm)

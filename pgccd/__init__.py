@@ -6,6 +6,8 @@ from typing import Any as _Any
 
 from pgccd import _requirements as _requirements  # first: its errors say what is missing
 from pgccd._host import build_information as _build_information
+from pgccd.auditing.audit import audit
+from pgccd.auditing.results import Audit, Passages, Touching
 from pgccd.detection import broad, narrow, traverse
 from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.capacity import Capacity, CapacityError
@@ -26,15 +28,16 @@ from pgccd.resolution.results import PaddedResolution, Resolution
 from pgccd.resolution.trajectories import TrajectoryResolution
 
 if _TYPE_CHECKING:
-    from pgccd import about, baselines, distributed, files, robots, sim, viz
+    from pgccd import about, baselines, distributed, files, robots, sim, simulators, viz
     from pgccd.viz import show
 
 # Imported on first use: they load more modules than detection needs.
-_LATER = ("about", "baselines", "distributed", "files", "robots", "sim", "viz")
+_LATER = ("about", "baselines", "distributed", "files", "robots", "sim", "simulators", "viz")
 
 __version__: str = _build_information()["version"]
 
 __all__ = [
+    "Audit",
     "Capacity",
     "CapacityError",
     "CapturedDetection",
@@ -47,17 +50,20 @@ __all__ = [
     "PaddedCollidingPairs",
     "PaddedContacts",
     "PaddedResolution",
+    "Passages",
     "Report",
     "Resolution",
     "RigidMotion",
     "Scene",
     "Stats",
     "Status",
+    "Touching",
     "Trajectory",
     "TrajectoryContacts",
     "TrajectoryResolution",
     "VertexMotion",
     "about",
+    "audit",
     "baselines",
     "broad",
     "detect",
@@ -70,6 +76,7 @@ __all__ = [
     "robots",
     "show",
     "sim",
+    "simulators",
     "traverse",
     "viz",
 ]

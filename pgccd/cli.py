@@ -1,11 +1,11 @@
-"""The command line: `pgccd view`, `pgccd detect`, `pgccd simulate`, `pgccd info`."""
+"""The command line: `pgccd view`, `pgccd detect`, `pgccd audit`, `pgccd simulate`, `pgccd info`."""
 
 import argparse
 import functools
 import json
 import sys
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NoReturn
@@ -21,7 +21,7 @@ from pgccd.detection.broad import BROAD_PHASES
 from pgccd.detection.narrow import REPORTS
 from pgccd.distributed.checkpoint.reading import open_stored
 from pgccd.distributed.launch.agreement import on_first, together
-from pgccd.files import load_configurations, load_motion, load_scene
+from pgccd.files import bodies_and_poses, frame_columns, iterate_frames, load_configurations, load_motion
 from pgccd.geometry.origin import Origin
 from pgccd.runtime.memory import is_out_of_memory
 from pgccd.sim.checkpoint import Header, require_checkpoint
@@ -31,10 +31,10 @@ from pgccd.sim.progress import Progress, terminal_progress
 from pgccd.sim.run_folder import mesh_files
 from pgccd.sim.summary import Totals
 from pgccd.viz import Page
-from pgccd.viz.animation import AnyMotion
+from pgccd.viz.animation import AnyHits, AnyMotion, Motions
 from pgccd.viz.display import is_page, open_page, require_writable
 
-_COMMANDS = ("view", "detect", "simulate", "info")
+_COMMANDS = ("view", "detect", "audit", "simulate", "info")
 # Readers of robots, by the suffix of the file.
 _ROBOTS: dict[str, Callable[[str], pgccd.robots.Robot]] = {
     ".urdf": lambda path: pgccd.robots.load_urdf(path),
@@ -49,6 +49,7 @@ examples:
   pgccd detect --scene scene.json --page contacts.html     and a page that shows them
   pgccd detect --scene scene.json --json                   for programs
   pgccd detect arm.urdf table.obj --motion path.npz        a robot (URDF or MJCF) among obstacles
+  pgccd audit --scene scene.json --page passages.html      what a rollout tunnelled through
   pgccd simulate --robots 2000 --steps 10 --out out/try    the nanorobot model
   pgccd info robot.ply                                     version, devices; size of a mesh
 
@@ -163,6 +164,20 @@ def _build_parser() -> argparse.ArgumentParser:
     add("--device", default="cpu", help="cpu, cuda, ... (cpu)")
     add("--broad-phase", choices=BROAD_PHASES, default="auto", help="broad phase; does not change the result (auto)")
     detect.set_defaults(run=_detect)
+
+    audit = with_files(
+        "audit",
+        "find what passes between the frames of a rollout, and the frames do not show",
+        "Finds the passages between the frames of a trajectory that the frames do not show: pairs of bodies that are\n"
+        "apart at two frames, and touch in between. A file with position and orientation, or with position alone, is\n"
+        "read frame by frame, and may be larger than memory.",
+    )
+    add = audit.add_argument
+    add("--page", type=Path, metavar="FILE", help="write an HTML page of the deepest passages; or a .png or .glb")
+    add("--min-separation", type=float, default=0.0, metavar="LENGTH", help="distance that counts as touching (0)")
+    add("--tolerance", type=float, metavar="LENGTH", help="of a reported contact (1e-6 of the smaller radius)")
+    add("--device", default="cpu", help="cpu, cuda, ... (cpu)")
+    audit.set_defaults(run=_audit)
 
     simulate = commands.add_parser(
         "simulate", parents=[output], help="run the nanorobot model", description="Runs the nanorobot model."
@@ -339,9 +354,12 @@ def _device(name: str) -> torch.device:
 
 
 def _inputs(
-    options: argparse.Namespace, device: torch.device, needs_motion: bool
-) -> tuple[pgccd.Scene, AnyMotion, str]:
-    """The scene and motion that the options name, and the option of the motion."""
+    options: argparse.Namespace, device: torch.device, needs_motion: bool, by_frames: bool = False
+) -> tuple[pgccd.Scene, Any, str]:
+    """The scene and motion that the options name, and the option of the motion. With `by_frames` the motion is an
+    iterator over frames where the file allows it.
+    """
+    read = _load_frames if by_frames else load_motion
     if options.page is not None:
         try:
             require_writable(options.page)
@@ -358,15 +376,21 @@ def _inputs(
         if options.meshes and Path(options.meshes[0]).suffix in _ROBOTS:
             return *_robot(options, device), source
         if options.scene is not None:
-            return *load_scene(options.scene, device), source
+            scene, poses = bodies_and_poses(options.scene, device)
+            return scene, read(poses, device), source
         scene = pgccd.Scene(_load_meshes(options.meshes, "MESH") or [], device=device)
         if options.motion is not None:
-            return scene, load_motion(options.motion, device), source
+            return scene, read(options.motion, device), source
     except (ImportError, ValueError) as error:
         raise ArgumentError(source, error) from error
     position = torch.zeros((scene.body_count, 3), dtype=torch.float64)
     orientation = torch.tensor([[1.0, 0.0, 0.0, 0.0]], dtype=torch.float64).repeat(scene.body_count, 1)
     return scene, pgccd.RigidMotion.at_rest(position, orientation), source
+
+
+def _load_frames(path: str | Path, device: torch.device) -> Any:
+    path = Path(path)
+    return load_motion(path, device) if frame_columns(path) is None else iterate_frames(path, device)
 
 
 def _robot(options: argparse.Namespace, device: torch.device) -> tuple[pgccd.Scene, AnyMotion]:
@@ -386,13 +410,13 @@ def _robot(options: argparse.Namespace, device: torch.device) -> tuple[pgccd.Sce
 def _write_page(
     options: argparse.Namespace,
     scene: pgccd.Scene,
-    motion: AnyMotion,
-    hits: pgccd.Contacts | pgccd.CollidingPairs | None = None,
+    motion: Motions,
+    hits: AnyHits = None,
 ) -> Path:
     """Writes the page that the options ask for; returns its path."""
     try:
         if options.page is not None and not is_page(options.page):
-            return pgccd.show(scene, motion, hits, options.page)
+            return pgccd.show(scene, motion, hits, path=options.page)
         page = Page.of(scene, motion, hits)
         if not options.quiet:
             for sentence in page.left_out:
@@ -421,7 +445,7 @@ def _view(options: argparse.Namespace) -> int:
 def _detect(options: argparse.Namespace) -> int:
     device = _device(options.device)
     scene, motion, source = _inputs(options, device, needs_motion=True)
-    try:
+    with _naming_options(source, device):
         hits = pgccd.detect(
             scene,
             motion,
@@ -430,16 +454,6 @@ def _detect(options: argparse.Namespace) -> int:
             tolerance=options.tolerance,
             broad_phase=options.broad_phase,
         )
-    except ValueError as error:
-        name, _, problem = str(error).partition(": ")
-        own = {"min_separation": "--min-separation", "tolerance": "--tolerance"}
-        raise ArgumentError(own.get(name, source), problem if name in own else error) from error
-    except NotImplementedError as error:
-        raise ArgumentError("--device", f"this build of pgccd has no kernels for {device.type}") from error
-    except RuntimeError as error:
-        if not is_out_of_memory(error):
-            raise
-        raise ArgumentError(source, f"too much for the memory of {device}: {error}") from error
     rows = _contact_rows(hits)
     page = {} if options.page is None else {"page": str(_write_page(options, scene, motion, hits))}
     if options.json:
@@ -453,10 +467,54 @@ def _detect(options: argparse.Namespace) -> int:
     return 0
 
 
+def _audit(options: argparse.Namespace) -> int:
+    device = _device(options.device)
+    scene, rollout, source = _inputs(options, device, needs_motion=True, by_frames=True)
+    if isinstance(rollout, (pgccd.RigidMotion, pgccd.VertexMotion)):
+        raise ArgumentError(source, "expected a trajectory: position (T, N, 3), orientation (T, N, 4)")
+    with _naming_options(source, device):
+        found = pgccd.audit(scene, rollout, options.min_separation, tolerance=options.tolerance)
+    page: dict[str, Any] = {}
+    if options.page is not None and len(found.passages):
+        page["page"] = str(_write_page(options, scene, *found.steps()))
+    elif options.page is not None:
+        print(f"no passages, so {options.page} is not written", file=sys.stderr)
+    rows = _contact_rows(found.passages)
+    if options.json:
+        touching = {name: getattr(found.touching, name).tolist() for name in ("pairs", "first", "last")}
+        listed = {"passages": rows, "touching": touching, "enclosed": _contact_rows(found.enclosed)}
+        print(json.dumps({"frames": found.frames} | listed | page))
+        return 0
+    for row in [] if options.quiet else rows:
+        print("  ".join(f"{name}={_plain(value)}" for name, value in row.items()))
+    figures = {"bodies": scene.body_count, "frames": found.frames}
+    figures |= {name: len(getattr(found, name)) for name in ("passages", "touching", "enclosed")}
+    print(" ".join(f"{name}={value}" for name, value in (figures | page).items()))
+    return 0
+
+
+@contextmanager
+def _naming_options(source: str, device: torch.device) -> Iterator[None]:
+    """Errors of a search of the bodies from `source` name options."""
+    try:
+        yield
+    except ValueError as error:
+        name, _, problem = str(error).partition(": ")
+        own = {"min_separation": "--min-separation", "tolerance": "--tolerance"}
+        raise ArgumentError(own.get(name, source), problem if name in own else error) from error
+    except NotImplementedError as error:
+        raise ArgumentError("--device", f"this build of pgccd has no kernels for {device.type}") from error
+    except RuntimeError as error:
+        if not is_out_of_memory(error):
+            raise
+        raise ArgumentError(source, f"too much for the memory of {device}: {error}") from error
+
+
 def _contact_rows(hits: pgccd.Contacts | pgccd.CollidingPairs) -> list[dict[str, Any]]:
     columns: dict[str, list[Any]] = {"pair": hits.pairs.tolist()}
     if isinstance(hits, pgccd.Contacts):
-        names = ("segment", "toi", "time") if isinstance(hits, pgccd.TrajectoryContacts) else ("toi",)
+        names = ["segment", "toi", "time"] if isinstance(hits, pgccd.TrajectoryContacts) else ["toi"]
+        names += ["approach", "measure"] if isinstance(hits, pgccd.Passages) else []
         columns |= {name: getattr(hits, name).tolist() for name in (*names, "kind", "features", "point", "normal")}
         columns["kind"] = [pgccd.Kind.names()[kind] for kind in columns["kind"]]
         columns["status"] = [pgccd.Status.names()[status] for status in hits.status.tolist()]

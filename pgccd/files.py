@@ -1,10 +1,15 @@
 """Scenes and motions from files, as read by the command line."""
 
 import difflib
+import itertools
 import json
-from collections.abc import Iterable, Sequence
+import zipfile
+import zlib
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import ExitStack
 from os import PathLike
-from typing import Any
+from pathlib import Path
+from typing import IO, Any
 
 import numpy as np
 import torch
@@ -15,7 +20,7 @@ from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
 
-__all__ = ["load_configurations", "load_motion", "load_scene"]
+__all__ = ["iterate_frames", "load_configurations", "load_motion", "load_scene"]
 
 _START = ("position_t0", "orientation_t0")
 _END = ("position_t1", "orientation_t1")
@@ -136,6 +141,88 @@ def load_scene(
     Example:
         >>> hits = pgccd.detect(*pgccd.files.load_scene("scene.json"))
     """
+    scene, poses = bodies_and_poses(path, device)
+    return scene, load_motion(poses, scene.device)
+
+
+def iterate_frames(
+    path: str | PathLike[str], device: torch.device | str = "cpu"
+) -> Iterator[tuple[torch.Tensor, torch.Tensor] | torch.Tensor]:
+    """The frames of a rollout from an npz file, one after the other, so that the file may be larger than memory.
+
+    Args:
+        path: of a file with position (T, N, 3) and orientation (T, N, 4), or position (T, X, 3) alone, as for
+            `load_motion`; without rotation and margin.
+        device: of the frames.
+
+    Returns:
+        An iterator over positions (N, 3) and orientations (N, 4), or over vertices (X, 3), float64.
+
+    Raises:
+        ValueError: the file cannot be read, or is another motion; while iterating also if it ends early.
+
+    Example:
+        >>> np.savez("rollout.npz", position=np.stack([x0, x1]), orientation=np.stack([q0, q1]))
+        >>> pgccd.audit(scene, pgccd.files.iterate_frames("rollout.npz"))
+        Audit(frames=2, passages=0, touching=1, enclosed=0)
+    """
+    path, device = arguments.path(path, "path"), arguments.device(device)
+    names = frame_columns(path)
+    if names is None:
+        raise ValueError(f"{path}: expected position (T, N, 3) and orientation (T, N, 4), or position (T, X, 3) alone")
+    return _frames(path, names, device)
+
+
+def frame_columns(path: Path) -> tuple[str, ...] | None:
+    """The columns of a file that `iterate_frames` can read; None if it holds another motion.
+
+    Raises:
+        ValueError: it is no npz file.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            names = {name.removesuffix(".npy") for name in archive.namelist()}
+    except (OSError, zipfile.BadZipFile) as error:
+        raise ValueError(f"{path} cannot be read as an npz file: {error}") from error
+    return next((kind for kind in (("position", "orientation"), ("position",)) if names == set(kind)), None)
+
+
+def _frames(
+    path: Path, names: tuple[str, ...], device: torch.device
+) -> Iterator[tuple[torch.Tensor, torch.Tensor] | torch.Tensor]:
+    with zipfile.ZipFile(path) as archive, ExitStack() as files:
+        columns = [_rows_of(path, name, files.enter_context(archive.open(f"{name}.npy"))) for name in names]
+        for rows in itertools.zip_longest(*columns):
+            if any(row is None for row in rows):
+                raise ValueError(f"{path}: position and orientation: expected as many frames in both")
+            frame = tuple(_as_column(path, name, row).to(device) for name, row in zip(names, rows, strict=True))
+            yield frame if len(frame) == 2 else frame[0]
+
+
+def _rows_of(path: Path, name: str, file: IO[bytes]) -> Iterator[np.ndarray]:
+    """The rows of an array in a .npy file, one after the other."""
+    try:
+        version = np.lib.format.read_magic(file)
+        reading = np.lib.format.read_array_header_1_0 if version[0] == 1 else np.lib.format.read_array_header_2_0
+        shape, is_transposed, dtype = reading(file)
+    except (OSError, ValueError, zipfile.BadZipFile) as error:
+        raise ValueError(f"{path}: {name}: cannot be read as an array: {error}") from error
+    if len(shape) != 3 or is_transposed or dtype.hasobject:
+        order = " in Fortran order" if is_transposed else ""
+        raise ValueError(f"{path}: {name}: expected an array (T, N, width) in C order, got {dtype} {shape}{order}")
+    size = dtype.itemsize * shape[1] * shape[2]
+    for number in range(shape[0]):
+        try:
+            content = file.read(size)
+        except (OSError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+            raise ValueError(f"{path}: {name}: frame {number} cannot be read: {error}") from error
+        if len(content) < size:
+            raise ValueError(f"{path}: {name}: expected {shape[0]} frames, but the file ends in frame {number}")
+        yield np.frombuffer(content, dtype).reshape(shape[1:])
+
+
+def bodies_and_poses(path: str | PathLike[str], device: torch.device | str = "cpu") -> tuple[Scene, Path]:
+    """The scene of a JSON file as for `load_scene`, and the npz file that it names."""
     path, device = arguments.path(path, "path"), arguments.device(device)
     try:
         content: Any = json.loads(path.read_text())
@@ -161,7 +248,7 @@ def load_scene(
         scene = Scene(meshes, content["mesh_index"], device, **optional)
     except (OSError, TypeError, ValueError) as error:
         raise ValueError(f"{path}: {error}") from error
-    return scene, load_motion(path.parent / content["poses"], device)
+    return scene, path.parent / content["poses"]
 
 
 def _arrays(path: str | PathLike[str]) -> dict[str, np.ndarray]:

@@ -29,6 +29,8 @@ from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.sim.step import FIRST_CONTACTS
 
 ROOT = Path(__file__).resolve().parents[1]
+TWO_BALLS = """<mujoco><worldbody><geom type="plane" size="1 1 1"/>
+<body pos="0 0 1"><freejoint/><geom size="0.1"/></body></worldbody></mujoco>"""
 # Modules whose examples need ranks, a scheduler, GPU streams or a server; other tests run them.
 NOT_ALONE = (
     "pgccd.distributed.checkpoint.writing",
@@ -122,6 +124,14 @@ def namespace(module: str) -> dict[str, Any]:
         pytest.importorskip("mujoco")
         names["robot"] = pgccd.robots.load_urdf("arm.urdf")
         names["obstacles"] = pgccd.robots.Obstacles([names["mesh"]], torch.tensor([[3.0, 3.0, 3.0]]))
+    if module == "pgccd.simulators.mujoco_frames":
+        mujoco = pytest.importorskip("mujoco")
+        names["model"] = mujoco.MjModel.from_xml_string(TWO_BALLS)
+        names["data"] = mujoco.MjData(names["model"])
+    if module == "pgccd.simulators.pybullet_frames":
+        bullet = pytest.importorskip("pybullet")
+        names["client"] = bullet.connect(bullet.DIRECT)
+        bullet.createMultiBody(1.0, bullet.createCollisionShape(bullet.GEOM_SPHERE))
     if module.startswith("pgccd.distributed.world."):
         names |= two_bodies() | {"comm": distributed.Alone()}
         payload = {"velocity": names["v"]}
@@ -200,6 +210,8 @@ def test_attributes_are_in_the_help() -> None:
     objects += [pgccd.detect(scene, motion, report, capacity=names["capacity"]) for report in ("first", "any")]
     objects += [pgccd.detect(scene, pgccd.Trajectory(torch.stack([x, x]), torch.stack([names["q"]] * 2)))]
     objects += [pgccd.narrow.vertex_face(*[torch.rand(2, 4, 3)] * 2)]
+    audited = pgccd.audit(scene, [(x, names["q"]), (x + 2.0 * names["v"], names["q"])])
+    objects += [audited, audited.passages, audited.touching]
     unknown = []
     for each in objects:
         known = set(re.findall(r"\w+", type(each).__doc__ or ""))
@@ -214,7 +226,7 @@ def test_attributes_are_in_the_help() -> None:
 
 def public_classes() -> list[type]:
     """The classes that the packages for simulations, ranks and pictures make public."""
-    packages = (distributed, pgccd.robots, sim, sim.distributed, pgccd.viz)
+    packages = (distributed, pgccd.robots, sim, sim.distributed, pgccd.simulators, pgccd.viz)
     classes = {getattr(package, name) for package in packages for name in package.__all__}
     return sorted((each for each in classes if inspect.isclass(each)), key=lambda each: each.__qualname__)
 

@@ -149,7 +149,17 @@ def test_single_device_modules_do_not_know_the_cluster() -> None:
     upper = ("pgccd.distributed", "pgccd.sim", "pgccd.baselines", "pgccd.viz", "pgccd.cli")
     lower = (
         PACKAGE / folder
-        for folder in ("geometry", "motion", "detection", "resolution", "robots", "ops", "runtime", "checkpoint")
+        for folder in (
+            "geometry",
+            "motion",
+            "detection",
+            "resolution",
+            "robots",
+            "auditing",
+            "ops",
+            "runtime",
+            "checkpoint",
+        )
     )
     wrong = [
         (path.name, name)
@@ -171,6 +181,7 @@ def test_packages_import_only_those_below() -> None:
         "detection": {"geometry", "motion", "runtime"},
         "resolution": {"geometry", "motion", "detection", "runtime"},
         "robots": {"geometry", "motion", "detection"},
+        "auditing": {"geometry", "motion", "detection"},
     }
     rooms = {f"pgccd.{name}" for name in may_import}
     for name, below in may_import.items():

@@ -82,10 +82,12 @@ def calls(folder: Path) -> dict[str, Call]:
     mesh = tetrahedron()
     (folder / "mesh.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     np.savez(folder / "poses.npz", **{n: c.numpy() for n, c in poses.items()}, orientation_t1=poses["orientation_t0"])
+    np.savez(folder / "rollout.npz", position=np.zeros((3, 2, 3)), orientation=np.zeros((3, 2, 4)))
     filters: dict[str, Any] = dict.fromkeys(("group", "mask", "world"), [0, 1]) | {"static": [False, True]}
     world = distributed.World.create([mesh], (0, 0, 0), (9, 9, 9), motion.position_t0, payload={"v": torch.ones(2, 3)})
     world.save(folder / "saved")
     hits = pgccd.detect(scene, motion)
+    rollout = pgccd.Trajectory(*(torch.stack(ends) for ends in zip(motion.at(0.0), motion.at(1.0), strict=True)))
 
     def motion_of(bodies: distributed.Bodies) -> pgccd.RigidMotion:
         return motion
@@ -179,6 +181,11 @@ def calls(folder: Path) -> dict[str, Call]:
             | initial
             | {"memory_budget": 1 << 20, "capacity": pgccd.Capacity.of(9)},
         ),
+        "audit": Call(
+            pgccd.audit,
+            {"scene": scene, "trajectory": rollout, "min_separation": 0.0, "path": "rigid", "tolerance": None}
+            | {"broad_phase": "auto", "keep": 3},
+        ),
         "Contacts[]": Call(hits.__getitem__, {"rows": [0]}),
         "Contacts.to": Call(hits.to, {"device": "cpu"}),
         "broad.sweep": Call(pgccd.broad.sweep, on_bodies | {"axis": "x"}),
@@ -196,6 +203,11 @@ def calls(folder: Path) -> dict[str, Call]:
         ),
         "narrow.vertex_face": Call(pgccd.narrow.vertex_face, points | options),
         "narrow.edge_edge": Call(pgccd.narrow.edge_edge, points | options),
+        "files.iterate_frames": Call(
+            files.iterate_frames,
+            {"path": folder / "rollout.npz", "device": "cpu"},
+            {"path": ("nonsense cannot be read as an npz file",)},
+        ),
         "files.load_motion": Call(
             files.load_motion,
             {"path": folder / "poses.npz", "device": "cpu"},

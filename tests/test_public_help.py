@@ -10,11 +10,25 @@ from typing import Any
 import pytest
 
 import pgccd
-from pgccd import about, baselines, broad, distributed, files, narrow, robots, sim, traverse, viz
+from pgccd import about, baselines, broad, distributed, files, narrow, robots, sim, simulators, traverse, viz
 
-PACKAGES = (pgccd, about, baselines, broad, distributed, files, narrow, robots, sim, sim.distributed, traverse, viz)
+PACKAGES = (
+    pgccd,
+    about,
+    baselines,
+    broad,
+    distributed,
+    files,
+    narrow,
+    robots,
+    sim,
+    sim.distributed,
+    simulators,
+    traverse,
+    viz,
+)
 # What users call with values of their own: their errors are documented.
-WITH_ERRORS = (pgccd, broad, files, narrow, robots, traverse)
+WITH_ERRORS = (pgccd, broad, files, narrow, robots, simulators, traverse)
 SHAPE = re.compile(r"\((?:\.\.\., |)[A-Za-z0-9_+\-−×* ]+,[^)]*\)|same shape|every column")
 
 

@@ -59,13 +59,31 @@ def enclosed(scene: Scene, motion: RigidMotion | VertexMotion | Trajectory) -> T
     pairs = broad.find_pairs(bodies, tolerance=0.0).cpu().numpy()
     pairs = pairs[pairs[:, 0] != pairs[:, 1]]
     surfaces = _Surfaces(scene, still)
-    both = np.concatenate([pairs, pairs[:, ::-1]])
-    rows = np.concatenate([_in_boxes(surfaces, part) for part in np.array_split(both, 1 + len(both) // _ROWS)])
-    rows = rows[~_meet(scene, still, rows)]
-    # Closer to a surface than the error of their points: these few are decided exactly.
-    is_near = _meet(scene, still, rows, surfaces.error)
-    found = np.concatenate([_inside(surfaces, rows[~is_near]), _inside(surfaces, rows[is_near], exactly=True)])
+    rows = _near(surfaces, np.concatenate([pairs, pairs[:, ::-1]]))
+    found = _decided(surfaces, scene, still, rows[~_meet(scene, still, rows)])
     return torch.from_numpy(found[np.lexsort((found[:, 1], found[:, 0]))]).to(scene.device)
+
+
+def enclosed_pairs(scene: Scene, still: RigidMotion | VertexMotion, pairs: Tensor) -> Tensor:
+    """(P,) bool: whether one body of each pair (P, 2) is wholly inside the other one. Surfaces that are not watertight
+    have no inside.
+
+    Args:
+        scene, still: the bodies, at rest.
+        pairs: of bodies whose surfaces do not meet.
+    """
+    rows = pairs.cpu().numpy()
+    rows = np.concatenate([rows, rows[:, ::-1]])
+    index = scene.mesh_index.cpu().numpy()
+    meshes, number = np.unique(index[rows[:, 1]], return_inverse=True)
+    closed = np.array([opening(scene.meshes.meshes[k].faces.numpy()) is None for k in meshes.tolist()], dtype=bool)
+    rows = rows[closed[number] & (rows[:, 0] != rows[:, 1])]
+    if len(rows):
+        surfaces = _Surfaces(scene, still)
+        rows = _decided(surfaces, scene, still, _near(surfaces, rows))
+    of_pair = [scene.body_count, 1]
+    inside = torch.from_numpy(np.sort(rows, axis=1) @ of_pair).to(pairs.device)
+    return torch.isin(pairs[:, 0] * scene.body_count + pairs[:, 1], inside)
 
 
 def _at_rest(motion: RigidMotion | VertexMotion | Trajectory) -> RigidMotion | VertexMotion:
@@ -151,6 +169,18 @@ def _in_boxes(surfaces: _Surfaces, rows: np.ndarray) -> np.ndarray:
         error, number = (surfaces.error[inner] + surfaces.error[outer])[:, None], surfaces.number[outer]
         rows = rows[((surfaces.low[number] - error <= x) & (x <= surfaces.high[number] + error)).all(axis=1)]
     return rows
+
+
+def _near(surfaces: _Surfaces, rows: np.ndarray) -> np.ndarray:
+    """As `_in_boxes`, in bounded memory."""
+    return np.concatenate([_in_boxes(surfaces, part) for part in np.array_split(rows, 1 + len(rows) // _ROWS)])
+
+
+def _decided(surfaces: _Surfaces, scene: Scene, still: RigidMotion | VertexMotion, rows: np.ndarray) -> np.ndarray:
+    """The rows (inner, outer), of bodies that do not meet, whose outer surface winds about the whole inner one."""
+    # Closer to a surface than the error of their points: these few are decided exactly.
+    is_near = _meet(scene, still, rows, surfaces.error)
+    return np.concatenate([_inside(surfaces, rows[~is_near]), _inside(surfaces, rows[is_near], exactly=True)])
 
 
 def _extreme_vertices(mesh: Mesh) -> np.ndarray:

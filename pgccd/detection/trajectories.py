@@ -66,10 +66,15 @@ class DetectStep(Protocol):
         """As `pgccd.detect`."""
 
 
-def detect_trajectory(
-    scene: Scene, trajectory: Trajectory, query: Query, detect_step: DetectStep, pairs: Tensor | None = None
-) -> TrajectoryContacts | CollidingPairs:
-    """`pgccd.detect` for a trajectory.
+def detect_segments(
+    scene: Scene,
+    trajectory: Trajectory,
+    report: narrow.Report,
+    detect_step: DetectStep,
+    pairs: Tensor | None = None,
+) -> tuple[Contacts | CollidingPairs, Tensor, Tensor]:
+    """What `detect_step` finds in each segment of a trajectory: rows whose pairs are of the copies below, sorted by
+    segment; and for each row its segment (K,) and the pair (K, 2) of the scene.
 
     All segments run as one step of a scene with one copy of each body per segment; the copies of different segments are
     in different worlds, so no broad phase pairs them.
@@ -85,8 +90,6 @@ def detect_trajectory(
     if rows != expected:
         what = "vertices" if trajectory.orientation is None else "bodies"
         raise ValueError(f"motion: has {rows} {what}, the scene {expected}")
-    # "earliest" selects from the first contacts of all segments.
-    report: narrow.Report = "first" if query.report == "earliest" else query.report
     copies = repeated(scene, segments)
     copies.margin = trajectory._margins(copies.margin, count)
     if pairs is not None:
@@ -96,7 +99,17 @@ def detect_trajectory(
     found = detect_step(copies, steps, report, pairs=pairs)
     of_pairs = found.pairs
     segment = torch.div(of_pairs[:, 0], max(1, count), rounding_mode="floor")
-    bodies = of_pairs - segment[:, None] * count
+    return found, segment, of_pairs - segment[:, None] * count
+
+
+def detect_trajectory(
+    scene: Scene, trajectory: Trajectory, query: Query, detect_step: DetectStep, pairs: Tensor | None = None
+) -> TrajectoryContacts | CollidingPairs:
+    """`pgccd.detect` for a trajectory."""
+    # "earliest" selects from the first contacts of all segments.
+    report: narrow.Report = "first" if query.report == "earliest" else query.report
+    found, segment, bodies = detect_segments(scene, trajectory, report, detect_step, pairs)
+    segments, count = trajectory.segment_count, scene.body_count
     stats = replace(found.stats, bodies=count, needed=None)
     if isinstance(found, CollidingPairs):
         bodies = torch.unique(bodies, dim=0) if len(bodies) else bodies

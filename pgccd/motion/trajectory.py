@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+
 import torch
 from torch import Tensor
 
@@ -217,6 +219,14 @@ class Trajectory:
         """
         self._check(slice(0, None))
         return self._motion(slice(0, self.segment_count))
+
+    def _part(self, first: int, last: int) -> Trajectory:
+        """From waypoint `first` to waypoint `last`, sharing memory; nothing is checked."""
+        part = copy.copy(self)
+        for name, end in (("position", last + 1), ("orientation", last + 1), ("rotation", last), ("margin", last)):
+            column = getattr(self, name)
+            setattr(part, name, None if column is None else column[first:end])
+        return part
 
     def _margins(self, of_scene: Tensor | None, bodies: int) -> Tensor | None:
         """(S N,) margins of the bodies of all segments, from those of the scene's bodies in all segments, if any; their

@@ -84,7 +84,7 @@ def load_mjcf(path: str | PathLike[str]) -> Robot:
     for k in range(model.ngeom):
         if model.geom_contype[k] or model.geom_conaffinity[k]:
             body = int(model.geom_bodyid[k])
-            placed = _surface(mujoco, model, k, path).placed(model.geom_pos[k], _unit(model.geom_quat[k]))
+            placed = surface_of_geom(mujoco, model, k, path).placed(model.geom_pos[k], _unit(model.geom_quat[k]))
             surfaces[body].append(placed.placed(shift[body], _UPRIGHT))
     labels = [model.body(body).name or f"body {body}" for body in range(model.nbody)]
     links = list(zip(labels, frame, surfaces, strict=True))
@@ -112,7 +112,7 @@ def _compiled(path: Path) -> tuple[Any, Any]:
         raise ValueError(f"path: {path} cannot be read as MJCF: {error}") from error
 
 
-def _surface(mujoco: Any, model: Any, k: int, path: Path) -> ThickSurface:
+def surface_of_geom(mujoco: Any, model: Any, k: int, path: Path) -> ThickSurface:
     """The surface of a geom in its frame."""
     kinds, size = mujoco.mjtGeom, model.geom_size[k].astype(np.float64)
     kind = kinds(int(model.geom_type[k]))

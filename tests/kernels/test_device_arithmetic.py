@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import torch
 from support.deforming import crumpled, motion_of
+from support.rollouts import tumbling
 from support.shapes import approaching
 from torch.utils._python_dispatch import TorchDispatchMode
 
@@ -159,3 +160,18 @@ def test_torch_rounds_alike_on_every_device(name: str) -> None:
     with RoundsAlike() as mode:
         CALLS[name]()
     assert mode.seen > 0 and not mode.others
+
+
+def test_audits_round_alike_on_every_device() -> None:
+    rollout = tumbling(np.random.default_rng(5), 10, 6, 3.0)
+    position, orientation = torch.tensor(rollout.position), torch.tensor(rollout.orientation)
+    shapes, moving = deforming()
+    ends = [torch.lerp(moving.x_t0, moving.x_t1, weight) for weight in (-3.0, 4.0)]
+    for scene, path in (
+        (rollout.scene(), pgccd.Trajectory(position, orientation)),
+        (rollout.scene(), pgccd.Trajectory(position, orientation, "linear")),
+        (pgccd.Scene(shapes.meshes), pgccd.Trajectory(torch.stack(ends))),
+    ):
+        with RoundsAlike() as mode:
+            found = pgccd.audit(scene, path)
+        assert len(found.passages) > 0 and not mode.others

@@ -30,16 +30,25 @@ def near_gaps(position: np.ndarray, orientation: np.ndarray, half: np.ndarray) -
         half: (3,) half the edges.
     """
     pairs = cKDTree(position).query_pairs(2.0 * float(np.linalg.norm(half)), output_type="ndarray").reshape(-1, 2)
-    i, j = pairs.T
-    axes = axes_of(orientation)
-    a, b = axes[i], axes[j]
+    ends = [(position[rows], axes_of(orientation)[rows], np.tile(half, (len(rows), 1))) for rows in pairs.T]
+    return pairs, gaps(ends[0], ends[1])
+
+
+Boxes = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+def gaps(first: Boxes, second: Boxes) -> np.ndarray:
+    """(P,): as of `near_gaps`, of boxes of any sizes: centres (P, 3), axes (P, 3, 3) as rows, and half edges (P, 3)."""
+    (x, a, _), (y, b, _) = first, second
     edges = np.cross(a[:, :, None], b[:, None]).reshape(-1, 9, 3)
     length = np.linalg.norm(edges, axis=2, keepdims=True)
-    is_axis = np.concatenate([np.ones((len(i), 6), dtype=bool), length[..., 0] > _PARALLEL], axis=1)
+    is_axis = np.concatenate([np.ones((len(x), 6), dtype=bool), length[..., 0] > _PARALLEL], axis=1)
     candidates = np.concatenate([a, b, edges / np.maximum(length, _PARALLEL)], axis=1)  # (pairs, 15, 3)
-    distance = np.abs(np.einsum("pkc,pc->pk", candidates, position[j] - position[i]))
-    reach = sum(np.abs(np.einsum("pkc,pmc->pkm", candidates, box)) @ half for box in (a, b))
-    return pairs, np.where(is_axis, distance - reach, -np.inf).max(axis=1)
+    distance = np.abs(np.einsum("pkc,pc->pk", candidates, y - x))
+    reach = sum(
+        np.einsum("pkm,pm->pk", np.abs(np.einsum("pkc,pmc->pkm", candidates, s)), h) for _, s, h in (first, second)
+    )
+    return np.where(is_axis, distance - reach, -np.inf).max(axis=1)
 
 
 def least_gap(position: np.ndarray, orientation: np.ndarray, half: np.ndarray) -> float:

@@ -1,0 +1,17 @@
+"""Scenes and frames of other simulators, for `pgccd.audit` and `pgccd.detect`.
+
+A class for each simulator makes a `Scene` of its collision shapes, one body a shape, and gives the poses of these
+bodies as a frame: positions (N, 3) and orientations (N, 4), whenever asked. Spheres and capsules are exact, as points
+and segments with a margin; cylinders and ellipsoids are polyhedra around them, at most 0.13 % and 0.8 % larger; planes
+without a size are 2,000 length units wide. Meshes are taken as they are, where a simulator may take their convex hulls.
+"""
+
+from pgccd.simulators.mujoco_frames import MuJoCo
+from pgccd.simulators.newton_frames import Newton
+from pgccd.simulators.pybullet_frames import PyBullet
+
+__all__ = ["MuJoCo", "Newton", "PyBullet"]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,0 +1,96 @@
+"""MuJoCo: its geoms as bodies."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pgccd.robots.kinematics import multiply
+from pgccd.robots.mjcf import surface_of_geom
+from pgccd.simulators.bodies import Bodies
+
+
+class MuJoCo:
+    """The geoms of a MuJoCo model that may collide, as the bodies of a scene.
+
+    Not tested are the pairs that MuJoCo does not test: by contype and conaffinity, of one body, of bodies that are
+    rigidly joined, of parent and child (unless the model disables that filter), and those of elements `exclude`.
+    Elements `pair` are not looked at. Geoms that no degree of freedom moves are static, those of mocap bodies too.
+
+    Args:
+        model: a `mujoco.MjModel`.
+        device: of the scene and the frames.
+
+    Attributes:
+        scene: a `Scene` of N bodies.
+        names: (N) of the geoms, or of their bodies and the number of the geom.
+        geoms: (N,) int64 array, the geom of each body.
+
+    Raises:
+        ValueError: a geom has no surface, such as an SDF; naming it. Or there are none.
+        ImportError: mujoco is not installed.
+
+    Example:
+        >>> simulator = pgccd.simulators.MuJoCo(model)
+        >>> position, orientation = simulator.frame(data)
+        >>> list(position.shape)
+        [2, 3]
+    """
+
+    def __init__(self, model: Any, device: torch.device | str = "cpu") -> None:
+        import mujoco
+
+        self._mujoco, self._model = mujoco, model
+        self.geoms = np.flatnonzero(model.geom_contype | model.geom_conaffinity)
+        bodies, nameless = Bodies(), Path("model")
+        for k in self.geoms.tolist():
+            key = (int(model.geom_type[k]), model.geom_size[k].tobytes(), int(model.geom_dataid[k]))
+            name = model.geom(k).name or f"{model.body(model.geom_bodyid[k]).name or 'body'}, geom {k}"
+            bodies.add(name, key, lambda k=k: surface_of_geom(mujoco, model, k, nameless))  # type: ignore[misc]
+        self.names = bodies.names
+        owner = model.geom_bodyid[self.geoms]
+        static = model.body_treeid[owner] < 0  # no degree of freedom moves it
+        # MuJoCo asks whether one's contype has a bit in common with the other's conaffinity, or the other way round;
+        # a scene, whether both do.
+        kind, affinity = (
+            column[self.geoms].astype(np.int64) for column in (model.geom_contype, model.geom_conaffinity)
+        )
+        group, mask = kind | affinity << 32, affinity | kind << 32
+        columns = {"group": group, "mask": mask, "static": static}
+        self.scene = bodies.scene(
+            device,
+            self._never_tested(owner, static),
+            **{name: torch.from_numpy(column).to(device) for name, column in columns.items()},
+        )
+
+    def _never_tested(self, owner: np.ndarray, static: np.ndarray) -> np.ndarray:
+        """(E, 2): pairs that MuJoCo leaves out by their bodies (N,), besides static ones."""
+        model = self._model
+        i, j = np.triu_indices(len(owner), 1)
+        low, high = np.minimum(owner[i], owner[j]), np.maximum(owner[i], owner[j])
+        weld = model.body_weldid[owner]
+        never = (weld[i] == weld[j]) | np.isin((low << 16) + high, model.exclude_signature)
+        if not model.opt.disableflags & self._mujoco.mjtDisableBit.mjDSBL_FILTERPARENT:
+            above = model.body_weldid[model.body_parentid[weld]]
+            related = (weld[i] == above[j]) | (weld[j] == above[i])
+            never |= related & (weld[i] != 0) & (weld[j] != 0)
+        never &= ~(static[i] & static[j])
+        return np.stack([i[never], j[never]], axis=1)
+
+    def frame(self, data: Any) -> tuple[Tensor, Tensor]:
+        """Positions (N, 3) and orientations (N, 4) of the bodies now. Calls `mj_kinematics`, since `mj_step` leaves the
+        poses of geoms at the state before the step. Nothing is checked.
+
+        Args:
+            data: the `mujoco.MjData`.
+        """
+        self._mujoco.mj_kinematics(self._model, data)
+        owner = self._model.geom_bodyid[self.geoms]
+        turns = (torch.from_numpy(q) for q in (data.xquat[owner], self._model.geom_quat[self.geoms]))
+        orientation = torch.nn.functional.normalize(multiply(*turns), dim=1)
+        position = torch.from_numpy(data.geom_xpos[self.geoms])
+        return position.to(self.scene.device), orientation.to(self.scene.device)

@@ -1,0 +1,135 @@
+"""PyBullet: its collision shapes as bodies."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pgccd.geometry.mesh import Mesh
+from pgccd.robots import shapes
+from pgccd.robots.shapes import ThickSurface
+from pgccd.simulators.bodies import Bodies
+
+
+class PyBullet:
+    """The collision shapes of a PyBullet world, as the bodies of a scene.
+
+    Shapes of one multibody are not tested against each other, as PyBullet does by default; its other filters are not
+    looked at. Shapes of bases without mass and links are static. Height fields are not in the scene, since PyBullet
+    does not tell their shape.
+
+    Args:
+        client: number of the physics server, as `pybullet.connect` returns it.
+        device: of the scene and the frames.
+
+    Attributes:
+        scene: a `Scene` of N bodies.
+        names: (N) of the links.
+        links: (N) body and link of each, as PyBullet numbers them.
+
+    Raises:
+        ValueError: the surface of a shape is not known, as of triangles without a file; naming it. Or there are none.
+        ImportError: pybullet is not installed; or scipy, if there are hulls of points.
+
+    Example:
+        >>> simulator = pgccd.simulators.PyBullet(client)
+        >>> position, orientation = simulator.frame()
+    """
+
+    def __init__(self, client: int = 0, device: torch.device | str = "cpu") -> None:
+        import pybullet
+
+        self._bullet, self._client = pybullet, client
+        self.links: list[tuple[int, int]] = []
+        bodies, static = Bodies(), []
+        exclude: list[tuple[int, int]] = []
+        for index in range(pybullet.getNumBodies(physicsClientId=client)):
+            body = pybullet.getBodyUniqueId(index, physicsClientId=client)
+            names = [name.decode() for name in pybullet.getBodyInfo(body, physicsClientId=client)]
+            joints = pybullet.getNumJoints(body, physicsClientId=client)
+            mass = pybullet.getDynamicsInfo(body, -1, physicsClientId=client)[0]
+            first = len(self.links)
+            for link in range(-1, joints):
+                if link >= 0:
+                    names[0] = pybullet.getJointInfo(body, link, physicsClientId=client)[12].decode()
+                for number, shape in enumerate(pybullet.getCollisionShapeData(body, link, physicsClientId=client)):
+                    name = f"body {body}, {names[1] or 'multibody'}, {names[0] or f'link {link}'}"
+                    # Hulls of points, as PyBullet makes of cylinders in URDF files, have no file.
+                    is_hull = shape[2] == pybullet.GEOM_MESH and shape[4] in (b"", b"unknown_file")
+                    points = None
+                    if is_hull:
+                        points = pybullet.getMeshData(body, link, number, physicsClientId=client)[1]
+                    bodies.add(
+                        name,
+                        (*shape[2:], points),
+                        lambda shape=shape, points=points: _surface(pybullet, points, *shape[2:]),  # type: ignore[misc]
+                    )
+                    self.links.append((body, link))
+                    static.append(joints == 0 and mass == 0.0)
+            exclude += combinations(range(first, len(self.links)), 2)
+        self.names = bodies.names
+        self.scene = bodies.scene(device, np.array(exclude), static=static)
+
+    def frame(self) -> tuple[Tensor, Tensor]:
+        """Positions (N, 3) and orientations (N, 4) of the bodies now."""
+        poses: dict[tuple[int, int], np.ndarray] = {}
+        for body, link in self.links:
+            if (body, link) not in poses:
+                if link < 0:
+                    pose = self._bullet.getBasePositionAndOrientation(body, physicsClientId=self._client)
+                else:
+                    pose = self._bullet.getLinkState(
+                        body, link, computeForwardKinematics=1, physicsClientId=self._client
+                    )[:2]
+                poses[body, link] = np.concatenate(pose)
+        rows = torch.from_numpy(np.array([poses[link] for link in self.links])).to(self.scene.device)
+        return rows[:, :3], torch.nn.functional.normalize(rows[:, [6, 3, 4, 5]], dim=1)
+
+
+def _surface(
+    bullet: Any,
+    points: Any,
+    kind: int,
+    size: tuple[float, ...],
+    file: bytes,
+    at: tuple[float, ...],
+    turn: tuple[float, ...],
+) -> ThickSurface:
+    """The surface of a shape in the frame of its link's centre of mass."""
+    if kind == bullet.GEOM_BOX:
+        made = shapes.box(np.array(size))
+    elif kind == bullet.GEOM_SPHERE:
+        made = shapes.sphere(size[0])
+    elif kind == bullet.GEOM_CAPSULE:
+        made = shapes.capsule(size[1], 0.5 * size[0])
+    elif kind == bullet.GEOM_CYLINDER:
+        made = shapes.cylinder(size[1], 0.5 * size[0])
+    elif kind == bullet.GEOM_PLANE:
+        made = shapes.plane(0.0, 0.0)
+    elif points:
+        return _hull(np.array(points))  # placed already
+    elif kind == bullet.GEOM_MESH and points is None:
+        mesh = Mesh.load(file.decode())
+        made = ThickSurface(mesh.vertices.numpy() * np.array(size), mesh.faces.long().numpy())
+    else:
+        raise ValueError(f"expected a box, sphere, capsule, cylinder, plane or mesh file, got PyBullet's kind {kind}")
+    q = np.array(turn)[[3, 0, 1, 2]]
+    return made.placed(np.array(at), q / np.linalg.norm(q))
+
+
+def _hull(points: np.ndarray) -> ThickSurface:
+    """The convex hull of points (n, 3)."""
+    try:
+        from scipy.spatial import ConvexHull
+    except ImportError as error:
+        raise ImportError(f"scipy makes convex hulls of points: pip install scipy ({error})") from error
+    hull = ConvexHull(points)
+    faces = hull.simplices.astype(np.int64)
+    a, b, c = points[faces].transpose(1, 0, 2)
+    inwards = np.einsum("fk,fk->f", np.cross(b - a, c - a), hull.equations[:, :3]) < 0.0
+    faces[inwards] = faces[inwards][:, ::-1]
+    return ThickSurface(points, faces)
