@@ -21,7 +21,8 @@ class Passages(TrajectoryContacts):
         approach: (K,) float64 >= 0, length units per segment: the rate at which the gap closes along the normal at toi.
         measure: (K,) float64 length: (1 - toi) approach, how deep the bodies would be in each other at the next frame
             if they kept this rate.
-        pairs, toi, time, kind, features, coordinates, point, normal, status, stats, scene: as of `TrajectoryContacts`.
+        pairs, toi, time, kind, features, coordinates, point, normal, status, stats, payload, scene: as of
+            `TrajectoryContacts`.
 
     Example:
         >>> passages = pgccd.audit(scene, [(x0, q0), (x0 + 2.0 * v, q1)]).passages

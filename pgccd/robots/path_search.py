@@ -39,7 +39,7 @@ def certify(
 
     Links do not move on arcs. The bound of how far they stray from them is given as margin, and steps that do not clear
     with it are split: until they clear, or a pair is certainly within `resolution` of each other. See
-    docs/explanation/exactness.md, section 13.
+    docs/explanation/exactness.md, section 14.
 
     Links that no joint moves are not tested against obstacles: a base may stand on a table. A link wholly inside an
     obstacle does not touch its surface; see `pgccd.enclosed`. Limits of joints are not checked.

@@ -1,4 +1,4 @@
-"""How far links stray from arcs while joints move at constant rates: see docs/explanation/exactness.md, section 13."""
+"""How far links stray from arcs while joints move at constant rates: see docs/explanation/exactness.md, section 14."""
 
 from __future__ import annotations
 

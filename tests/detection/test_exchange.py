@@ -210,6 +210,7 @@ def test_arrays_are_shared(kind: Any, device: torch.device) -> None:
         mask=kind(scene.mask),
         static=scene.static.bool() if scene.static is not None else None,
         self_collision=scene.self_collision,  # type: ignore[arg-type]
+        exclude=scene.exclude,
     )
     assert there.margin.data_ptr() == scene.margin.data_ptr()  # type: ignore[union-attr]
     assert_same(pgccd.detect(there, shared, "all"), expected)
