@@ -99,7 +99,7 @@ if distributed.find_placement().launcher == "none" and name == "cpu":
         program = [sys.argv[0], "cpu", f"{folder}/owners.npy"]
         command = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node", "4", *program]
         one_thread = os.environ | {"OMP_NUM_THREADS": "1"}
-        done = subprocess.run(command, env=one_thread, capture_output=True, text=True, check=True)
+        done = subprocess.run(command, env=one_thread, stdout=subprocess.PIPE, text=True, check=True)
         owner_of_four = np.load(f"{folder}/owners.npy")
     print(done.stdout)
     assert digest in done.stdout, "four ranks gave other positions than one"

@@ -5,9 +5,10 @@ What a simulator tunnelled through
 A simulator that looks for contacts at its time steps alone misses what happens between them: fast and thin bodies pass
 through each other, and no frame shows it. `pgccd.audit` takes the frames of any simulator and lists every such passage,
 certified; and a rollout guarded by `pgccd.detect` has none. The simulator of this page is a few lines; for frames of
-MuJoCo, Newton and PyBullet see :doc:`/how-to/audit`.
+MuJoCo, Newton and PyBullet see :doc:`/how-to/audit`. Pass "cuda" to run it on a GPU.
 """
 
+import sys
 from collections.abc import Iterator
 
 import matplotlib.pyplot as plt
@@ -16,13 +17,14 @@ import torch
 import pgccd
 
 DARTS, PLATES, STEP, STEPS = 10, 4, 1.0 / 30.0, 30
+device = sys.argv[1] if len(sys.argv) > 1 else "cpu"
 torch.manual_seed(1)
 
 # %%
 # Darts fall through a rack of thin plates. Plates are static: they are not tested against each other.
 
 plate, dart = pgccd.Mesh.box([8.0, 1.0, 0.01]), pgccd.Mesh.box([0.15, 0.1, 0.01])
-scene = pgccd.Scene([plate, dart], [0] * PLATES + [1] * DARTS, static=[True] * PLATES + [False] * DARTS)
+scene = pgccd.Scene([plate, dart], [0] * PLATES + [1] * DARTS, device, static=[True] * PLATES + [False] * DARTS)
 falls = torch.tensor([0.0] * PLATES + [1.0] * DARTS, dtype=torch.float64)
 gravity = -9.81 * falls[:, None] * torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
 
@@ -33,6 +35,9 @@ position[PLATES:, 2] = 3.5 + torch.rand(DARTS)
 orientation = torch.tensor([[1.0, 0.0, 0.0, 0.0]], dtype=torch.float64).repeat(len(position), 1)
 velocity = gravity * torch.rand(len(position), 1)
 spin = 8.0 * falls[:, None] * torch.randn(len(position), 3)
+position, orientation, velocity, spin, gravity = (
+    column.to(device) for column in (position, orientation, velocity, spin, gravity)
+)
 
 # %%
 # **Frames alone.** The simulator moves everything by a step, looks which bodies overlap then, and turns these round.
@@ -101,11 +106,12 @@ assert len(safe.passages) == len(safe.touching) == 0
 # Heights of the darts over time; lines are the plates, and crosses the passages.
 
 figure, axes = plt.subplots(1, 2, figsize=(10.0, 4.5), sharey=True)
-alone = torch.stack([x for x, _ in frames_alone()])
+alone = torch.stack([x for x, _ in frames_alone()]).cpu()
 axes[0].plot(STEP * torch.arange(STEPS), alone[:, PLATES:, 2], ".-", ms=3, lw=0.8)
-axes[0].plot(STEP * (passages.segment + passages.toi), passages.point[:, 2], "x", color="black", ms=8, mew=2)
+passed = (STEP * (passages.segment + passages.toi)).cpu(), passages.point[:, 2].cpu()
+axes[0].plot(*passed, "x", color="black", ms=8, mew=2)
 axes[0].set_title(f"contacts at frames alone: {len(passages)} passages")
-axes[1].plot(times, torch.stack([x for x, _ in safe_frames])[:, PLATES:, 2], ".-", ms=3, lw=0.8)
+axes[1].plot(times, torch.stack([x for x, _ in safe_frames])[:, PLATES:, 2].cpu(), ".-", ms=3, lw=0.8)
 axes[1].set_title(f"guarded: {len(safe.passages)} passages, {len(times) - 1} steps")
 for each in axes:
     for height in range(PLATES):

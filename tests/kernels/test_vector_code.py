@@ -79,4 +79,5 @@ def test_loops_over_lanes_are_vectorised(part: str) -> None:
 def test_they_call_nothing_but_code_of_lanes(part: str) -> None:
     for function in functions(part):
         calls = [line for line in function.instructions if line.startswith("call") and LANES not in line]
+        calls = [line for line in calls if "__stack_chk_fail" not in line]  # a check that some compilers add
         assert not calls, function.name

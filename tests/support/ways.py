@@ -164,7 +164,8 @@ def derived(scene: RandomScene, device: str) -> Columns:
         points = [end[rows].to(dtype) for end in ends]
         for test in (pgccd.narrow.vertex_face, pgccd.narrow.edge_edge):
             answer = test(*points, scene.arguments["min_separation"], 1e-3, scene.arguments["nonzero_toi"])
-            columns |= {f"{test.__name__} {dtype} {name}": column for name, column in vars(answer).items()}
+            given = {name: column for name, column in vars(answer).items() if isinstance(column, Tensor)}
+            columns |= {f"{test.__name__} {dtype} {name}": column for name, column in given.items()}
     return {name: column.cpu() for name, column in columns.items()}
 
 
