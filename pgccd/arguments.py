@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
+from torch.autograd import forward_ad
 
 
 def number(value: Any, name: str, expected: str = "a number") -> float:
@@ -100,6 +101,7 @@ def rows(value: Any, name: str, count: int) -> Any:
     if isinstance(value, slice):
         return value
     expected = "a mask, row numbers or a slice"
+    value = as_tensor(value, name)
     if not isinstance(value, (Tensor, np.ndarray, list)):
         raise TypeError(f"{name}: expected {expected}, got {describe(value)}")
     try:
@@ -122,10 +124,14 @@ def rows(value: Any, name: str, count: int) -> Any:
     return picked
 
 
-def real_numbers(values: Any, name: str, expected: str) -> Tensor:
+def real_numbers(values: Any, name: str, expected: str, with_gradient: bool = False) -> Tensor:
     """Numbers (float32, float64 or integers: one, a list, an array or a tensor) as a float64 tensor on their device. A
     Python float keeps all its digits. Memory of float64 is shared.
+
+    Args:
+        with_gradient: whether values may require grad; the result then does.
     """
+    values = as_tensor(values, name)
     try:
         dtype = torch.as_tensor(values).dtype
     except (TypeError, ValueError, RuntimeError, OverflowError) as error:
@@ -136,8 +142,10 @@ def real_numbers(values: Any, name: str, expected: str) -> Tensor:
     if numbers.layout != torch.strided:
         raise TypeError(f"{name}: expected a dense tensor, got {numbers.layout}")
     refuse_meta(numbers, name)
+    refuse_transforms(numbers, name)
+    if with_gradient and is_differentiated(numbers):
+        return numbers
     refuse_gradient(numbers, name)
-    refuse_vmap(numbers, name)
     return numbers.detach()
 
 
@@ -147,36 +155,81 @@ def refuse_meta(values: Tensor, name: str) -> None:
         raise TypeError(f"{name}: expected values, got a tensor on the device meta")
 
 
-def refuse_vmap(values: Tensor, name: str) -> None:
-    """Raises for a tensor whose samples `torch.vmap` hides."""
-    if not torch.compiler.is_compiling() and torch._C._functorch.is_batchedtensor(values):
+def refuse_transforms(values: Tensor, name: str) -> None:
+    """Raises for a tensor in a transform of `torch.func`, or one with a tangent of forward differentiation: operators
+    would drop the samples or the tangent.
+    """
+    if torch.compiler.is_compiling():
+        return
+    if torch._C._functorch.is_batchedtensor(values):
         raise TypeError(
             f"{name}: torch.vmap is not supported: pass all samples in one call (bodies as one scene, each sample in a "
             "`world` of its own; queries as rows)"
         )
+    if torch._C._functorch.is_functorch_wrapped_tensor(values):
+        raise TypeError(
+            f"{name}: transforms of torch.func are not supported: use torch.autograd.grad or Tensor.backward"
+        )
+    if forward_ad._current_level >= 0 and forward_ad.unpack_dual(values).tangent is not None:
+        raise TypeError(f"{name}: has a tangent, but forward differentiation is not supported: use backward")
+
+
+def is_differentiated(values: Any) -> bool:
+    """Whether the values require grad while gradients are enabled."""
+    return isinstance(values, Tensor) and values.requires_grad and torch.is_grad_enabled()
 
 
 def refuse_gradient(values: Tensor, name: str) -> None:
     """Raises if the values require grad while gradients are enabled."""
     if values.requires_grad and torch.is_grad_enabled():
         raise ValueError(
-            f"{name}: requires grad, but pgccd computes no gradients: pass {name}.detach(), or call it under "
+            f"{name}: requires grad, but no gradient is computed here: pass {name}.detach(), or call it under "
             "torch.no_grad()"
         )
 
 
-def real_tensor(values: Any, name: str) -> None:
-    """Raises unless the values are a dense float32 or float64 tensor without a required gradient."""
+def as_tensor(values: Any, name: str) -> Any:
+    """An array of another library (CuPy, JAX, Warp, ...) as a tensor that shares its memory, by DLPack or by
+    `__cuda_array_interface__`; other values, also arrays of NumPy, as they are.
+
+    Raises:
+        TypeError: torch cannot share the array.
+        ValueError: it takes part in the differentiation of another library.
+    """
+    if isinstance(values, (Tensor, np.ndarray)) or torch.compiler.is_compiling():
+        return values
+    has_dlpack = hasattr(type(values), "__dlpack__")
+    if not has_dlpack and not hasattr(type(values), "__cuda_array_interface__"):
+        return values
+    if getattr(values, "requires_grad", False) is True:  # of Warp
+        raise ValueError(f"{name}: requires grad in another library: convert it to a tensor of torch, or detach it")
+    try:
+        return torch.from_dlpack(values) if has_dlpack else torch.as_tensor(values)
+    except (TypeError, ValueError, RuntimeError, BufferError) as error:
+        raise TypeError(f"{name}: torch cannot share this {type(values).__name__}: {error}") from error
+
+
+def _of_numpy(values: np.ndarray, name: str) -> Tensor:
+    """A tensor that shares the memory of the array, if that may be written."""
+    try:
+        return torch.from_numpy(values if values.flags.writeable else values.copy())
+    except (TypeError, ValueError) as error:
+        raise TypeError(f"{name}: expected float32 or float64, got an array of {values.dtype}: {error}") from error
+
+
+def real_tensor(values: Any, name: str) -> Tensor:
+    """The values, a dense float32 or float64 tensor, or an array as such a tensor, without a copy (see `as_tensor`)."""
+    if not isinstance(values, Tensor):
+        values = _of_numpy(values, name) if isinstance(values, np.ndarray) else as_tensor(values, name)
     if not isinstance(values, Tensor):
         hint = ": pass torch.tensor(values, dtype=torch.float64)" if isinstance(values, (list, tuple)) else ""
-        hint = ": pass torch.from_numpy(values)" if isinstance(values, np.ndarray) else hint
         raise TypeError(f"{name}: expected a float32 or float64 tensor, got {describe(values)}{hint}")
-    refuse_vmap(values, name)
+    refuse_transforms(values, name)
     if values.dtype not in (torch.float32, torch.float64):
         raise TypeError(f"{name}: expected float32 or float64, got {values.dtype}")
     if values.layout != torch.strided:
         raise TypeError(f"{name}: expected a dense tensor, got {values.layout}")
-    refuse_gradient(values, name)
+    return values
 
 
 def shape(values: Tensor, name: str, expected: Sequence[int | str], device: torch.device | None = None) -> None:
@@ -189,15 +242,37 @@ def shape(values: Tensor, name: str, expected: Sequence[int | str], device: torc
         raise ValueError(f"{name}: expected device {device}, got {values.device}")
 
 
-def real_rows(values: Any, name: str, count: int | None, width: int, device: torch.device | None) -> Tensor:
-    """The values as contiguous float64 rows (count, width) on the device. None: any number of rows, or any device."""
-    real_tensor(values, name)
+def real_rows(
+    values: Any, name: str, count: int | None, width: int, device: torch.device | None, with_gradient: bool = False
+) -> Tensor:
+    """The values as contiguous float64 rows (count, width) on the device. None: any number of rows, or any device.
+
+    Args:
+        with_gradient: whether they may require grad; the result then does.
+    """
+    values = real_tensor(values, name)
     fits = values.dim() == 2 and values.shape[1] == width and (count is None or values.shape[0] == count)
     if not fits or (device is not None and values.device != device):  # compared here, since `shape` takes longer
         shape(values, name, ("N" if count is None else count, width), device)
     if values.dtype == torch.float64 and not values.requires_grad and values.is_contiguous():
         return values  # the common case; converting anyway takes a tenth of a `detect` call for two bodies
+    if with_gradient and is_differentiated(values):
+        return values.to(torch.float64).contiguous()
+    refuse_gradient(values, name)
     return values.detach().to(torch.float64).contiguous()
+
+
+def entries(state: Any, names: Iterable[str]) -> None:
+    """Raises unless the state is a dictionary with exactly these names."""
+    names = list(names)
+    if not isinstance(state, dict):
+        raise TypeError(f"state: expected a dictionary from state_dict, got {describe(state)}")
+    for name in names:
+        if name not in state:
+            raise ValueError(f"state: has no entry {name!r}")
+    for name in state:
+        if name not in names:
+            raise ValueError(f"state: expected entries {names}, got {name!r}")
 
 
 def check_corners(points: np.ndarray, faces: np.ndarray) -> None:

@@ -92,7 +92,7 @@ for _name in ("position_t0", "position_t1"):
         case(f"{_name} {_value}", rigid(**{_name: one_bad(3, _value)}), _name, "body 1", "finite")
     case(f"{_name} shape", rigid(**{_name: torch.zeros(3, 2)}), _name, "3")
     case(f"{_name} dtype", rigid(**{_name: torch.zeros(3, 3).int()}), _name, "float64")
-    case(f"{_name} type", rigid(**{_name: np.zeros((3, 3))}), _name, "tensor")
+    case(f"{_name} type", rigid(**{_name: np.zeros((3, 3)).tolist()}), _name, "tensor")
 for _name in ("orientation_t0", "orientation_t1"):
     for _value in (NAN, INF, 0.05, -1.0):
         case(f"{_name} {_value}", rigid(**{_name: one_bad(4, _value)}), _name, "body 1", "unit")
@@ -188,7 +188,7 @@ for _test in (pgccd.narrow.vertex_face, pgccd.narrow.edge_edge):
     _name = _test.__name__
     case(f"{_name} dtype", lambda t=_test: t(QUERY.half(), QUERY), "points_t0", "float64")
     case(f"{_name} dtypes", lambda t=_test: t(QUERY.float(), QUERY), "points_t1", "float32")
-    case(f"{_name} type", lambda t=_test: t(QUERY, QUERY.numpy()), "points_t1")
+    case(f"{_name} type", lambda t=_test: t(QUERY, QUERY.tolist()), "points_t1")
     case(f"{_name} shape", lambda t=_test: t(QUERY, QUERY[:, :3]), "points_t1", "4, 3")
     case(f"{_name} count", lambda t=_test: t(QUERY, QUERY[:1]), "points_t1", "2, 4, 3")
     case(f"{_name} separation", lambda t=_test: t(QUERY, QUERY, min_separation=-1.0), "min_separation")

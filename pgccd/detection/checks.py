@@ -39,9 +39,16 @@ def warn_of_only_body(scene: Scene, motion: RigidMotion | VertexMotion | Traject
     warnings.warn(f"scene: it has one body, so no contact can be found: {advice}", UserWarning, stacklevel=3)
 
 
-def check_separation(min_separation: float) -> float:
+def check_separation(min_separation: float | Tensor) -> float:
     """The value, if it is a length in [0, 1e150]."""
     return arguments.length(min_separation, "min_separation")
+
+
+def separation_value(min_separation: float | Tensor) -> float:
+    """As `check_separation`, of a value that may require grad."""
+    if isinstance(min_separation, Tensor) and arguments.is_differentiated(min_separation):
+        return check_separation(min_separation.detach())
+    return check_separation(min_separation)
 
 
 def operator_tolerance(tolerance: float | None) -> float:
@@ -72,6 +79,7 @@ def check_pairs(pairs: Tensor, bodies: MovingBodies, ascending: bool = False) ->
     Args:
         ascending: whether rows must be sorted and unique.
     """
+    pairs = arguments.as_tensor(pairs, "pairs")
     check_tensor(pairs, "pairs", torch.int64, ("P", 2), bodies.device)
     count = bodies.scene.body_count
     i, j = pairs.unbind(dim=1)

@@ -3,21 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, Self
+from dataclasses import asdict, dataclass, field, fields, replace
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NoReturn, Self
 
 import torch
 from torch import Tensor
 
 from pgccd import arguments
 from pgccd.detection.capacity import Capacity
-from pgccd.detection.grouping import By, any_contact, first_time
+from pgccd.detection.grouping import By, any_contact, first_time, owners
 from pgccd.ops import ContactRows
 
 if TYPE_CHECKING:
     from pgccd.geometry.scene import Scene
 
 
+# Dtypes and further sizes of columns.
+_FORMS: dict[str, tuple[torch.dtype, tuple[int, ...]]] = {
+    "pairs": (torch.int64, (2,)),
+    "kind": (torch.int8, ()),
+    "features": (torch.int32, (2,)),
+    "status": (torch.int8, ()),
+    "toi": (torch.float64, ()),
+    "coordinates": (torch.float64, (2,)),
+    "point": (torch.float64, (3,)),
+    "normal": (torch.float64, (3,)),
+    "segment": (torch.int64, ()),
+    "time": (torch.float64, ()),
+}
 #: Names of the columns of contacts, in the operators' order.
 COLUMNS = ("pairs", "kind", "features", "status", "toi", "coordinates", "point", "normal")
 
@@ -33,6 +46,26 @@ def earliest_row(toi: Tensor, *ties: Tensor) -> Tensor:
         column = torch.where(is_least, column, largest)
         is_least &= column == column.min()
     return torch.where(is_least, rows, 0).sum().reshape(1) if len(rows) else rows
+
+
+def earliest_of_each(owner: Tensor, count: int, *order: Tensor) -> Tensor:
+    """Rows, ascending by owner: of each owner that has any of the rows (K,) the first by the columns of `order` (K,),
+    then by row. Synchronises.
+
+    Args:
+        owner: (K,) in [0, count).
+    """
+    rows = torch.arange(len(owner), device=owner.device)
+    is_least = torch.ones_like(rows, dtype=torch.bool)
+    least = rows
+    for column in (*order, rows):
+        column = column.detach()
+        largest = torch.inf if column.is_floating_point() else torch.iinfo(column.dtype).max
+        column = torch.where(is_least, column, largest)
+        least = torch.full((count,), largest, dtype=column.dtype, device=column.device)
+        least = least.scatter_reduce(0, owner, column, "amin")
+        is_least &= column == least[owner]
+    return least[least < len(rows)]
 
 
 def take_earliest(rows: ContactRows) -> ContactRows:
@@ -165,8 +198,10 @@ class ContactColumns(PairColumns):
     point: Tensor
     normal: Tensor
     status: Tensor
-    # Whether the report was "earliest", which leaves out the contacts of other pairs.
+    # Whether these are the earliest contacts, which leaves out those of other pairs; and whether there is one in each
+    # world that has any.
     _is_earliest: bool = field(default=False, init=False, repr=False, compare=False)
+    _has_each_world: bool = field(default=False, init=False, repr=False, compare=False)
 
     _names: ClassVar[tuple[str, ...]] = COLUMNS
 
@@ -191,13 +226,27 @@ class ContactColumns(PairColumns):
     def _first_time(self, time: Tensor, by: By, incomplete: Tensor | None = None) -> Tensor:
         """The least `time` (K,) of contacts; 0 if `incomplete` (1,) bool."""
         found = first_time(self.pairs, time, self.scene, by, incomplete)
-        if not self._is_earliest or by == "scene":
+        if (bound := self._bound_by(by)) is None:
             return found
-        return torch.minimum(found, first_time(self.pairs, time, self.scene, "scene", incomplete))
+        return torch.minimum(found, self._of_all(bound, first_time(self.pairs, time, self.scene, bound, incomplete)))
 
     def _any_contact(self, by: By) -> Tensor:
         found = any_contact(self.pairs, self.scene, by)
-        return found | any_contact(self.pairs, self.scene, "scene") if self._is_earliest else found
+        if (bound := self._bound_by(by)) is None:
+            return found
+        return found | self._of_all(bound, any_contact(self.pairs, self.scene, bound))
+
+    def _bound_by(self, by: By) -> By | None:
+        """What has the contact that bounds those left out, of what results are asked for; None: none are left out."""
+        if not self._is_earliest or by == "scene" or (by == "world" and self._has_each_world):
+            return None
+        return "world" if self._has_each_world else "scene"
+
+    def _of_all(self, by: By, values: Tensor) -> Tensor:
+        """Values of the scene (), or of worlds (W,) for each body (N,)."""
+        if by == "scene" or self.scene is None:
+            return values
+        return values[0] if self.scene.world is None else values[self.scene.world.long()]
 
     @property
     def starts_intersecting(self) -> Tensor:
@@ -262,6 +311,47 @@ class CountedRows(PairColumns):
         """
         return self._map(Tensor.clone)
 
+    def state_dict(self) -> dict[str, Any]:
+        """The columns and stats as a dictionary of tensors and numbers, without gradients, the scene and
+        `Stats.needed`, for `torch.save` and `torch.load` with weights_only=True.
+
+        Example:
+            >>> torch.save(hits.state_dict(), "hits.pt")
+        """
+        columns: dict[str, Any] = {name: column.detach() for name, column in self.columns.items()}
+        stats = {name: value for name, value in asdict(replace(self.stats, needed=None)).items() if name != "needed"}
+        return columns | {"stats": stats} | {name: getattr(self, name) for name in _flags_of(type(self))}
+
+    @classmethod
+    def from_state_dict(cls, state: dict[str, Any], scene: Scene | None = None) -> Self:
+        """The result of a `state_dict`, on the device of its tensors.
+
+        Args:
+            state: from `state_dict`.
+            scene: of the bodies, which `first_toi` and others need.
+
+        Raises:
+            TypeError, ValueError: naming the entry that is missing or invalid.
+
+        Example:
+            >>> again = pgccd.Contacts.from_state_dict(hits.state_dict(), scene)
+        """
+        flags = _flags_of(cls)
+        arguments.entries(state, (*cls._names, "stats", *flags))
+        count = None
+        for name in cls._names:
+            column, (dtype, width) = state[name], _FORMS[name]
+            if not isinstance(column, Tensor) or column.dtype != dtype:
+                raise TypeError(f"{name}: expected {dtype}, got {arguments.describe(column)}")
+            arguments.shape(column, name, ("K" if count is None else count, *width), state["pairs"].device)
+            count = len(column)
+        arguments.entries(state["stats"], [each.name for each in fields(Stats) if each.name != "needed"])
+        result = cls(**{name: state[name] for name in cls._names}, stats=Stats(**state["stats"]))
+        for name in flags:
+            setattr(result, name, arguments.flag(state[name], name))
+        result.scene = scene
+        return result
+
     def _map(self, change: Callable[[Tensor], Tensor]) -> Self:
         columns: dict[str, Any] = {name: change(column) for name, column in self.columns.items()}
         changed = replace(self, **columns)
@@ -311,23 +401,71 @@ class Contacts(ContactColumns, CountedRows):
         stats: of the call.
         scene: the scene of the bodies; None where `pairs` are not rows of one scene, as on many ranks.
 
+    If an input of `detect` requires grad, then so do toi, coordinates, point and normal: see docs/how-to/gradients.md.
+
     Example:
         >>> for (i, j), toi in zip(hits.pairs.tolist(), hits.toi.tolist()):
         ...     print(f"{i} and {j} touch at {toi:.2f}")
         0 and 1 touch at 0.80
     """
 
-    def earliest(self, *ties: Tensor) -> Self:
-        """The contact with the smallest toi (see `earliest_row` for ties), or none if there are no contacts."""
-        found = self[earliest_row(self.toi, *ties)]
+    # See `differentiable`; None if no input required grad.
+    _differentiable: Tensor | None = field(default=None, init=False, repr=False, compare=False)
+
+    @property
+    def differentiable(self) -> Tensor:
+        """(K,) bool: contacts whose toi, coordinates, point and normal have derivatives, if an input of `detect`
+        required grad; if none did, False. False, with all derivatives zero, where features touch at t = 0, where they
+        graze (the gap closes at less than 1e-6 of the relative speed) and of unresolved contacts.
+
+        Example:
+            >>> loss = hits.toi[hits.differentiable].sum()
+        """
+        return torch.zeros_like(self.toi, dtype=torch.bool) if self._differentiable is None else self._differentiable
+
+    def earliest(self, *ties: Tensor, by: Literal["scene", "world"] = "scene") -> Self:
+        """The contact with the smallest toi, of a trajectory the smallest time; or none if there are no contacts.
+
+        Args:
+            ties: (K,) each: of contacts of equal toi the one with the smallest value is taken, then the first row.
+            by: "scene"; or "world": one contact of each world that has any, in the order of worlds. Synchronises with a
+                GPU then.
+
+        Raises:
+            TypeError, ValueError: `by` is unknown or needs a scene.
+
+        Example:
+            >>> first_of_each = pgccd.detect(scene, motion).earliest(by="world")
+        """
+        arguments.choice(by, "by", ("scene", "world"))
+        order = (*self._order, *ties)
+        if by == "scene":
+            row = earliest_row(*order)
+        else:
+            owner, count = owners(self.pairs, self.scene, by)
+            row = earliest_of_each(owner[::2], count, *order)
+        found = self[row]
         earliest = replace(found, stats=replace(found.stats, contacts=len(found)))
-        earliest.scene, earliest._is_earliest = self.scene, True
+        earliest.scene, earliest._differentiable = self.scene, found._differentiable
+        earliest._is_of_rank, earliest._is_earliest = self._is_of_rank, True
+        earliest._has_each_world = by == "world"
         return earliest
+
+    @property
+    def _order(self) -> tuple[Tensor, ...]:
+        """Columns by which contacts are early."""
+        return (self.toi,)
 
     def _map(self, change: Callable[[Tensor], Tensor]) -> Self:
         changed = super()._map(change)
-        changed._is_earliest = self._is_earliest
+        changed._is_earliest, changed._has_each_world = self._is_earliest, self._has_each_world
+        changed._differentiable = None if self._differentiable is None else change(self._differentiable)
         return changed
+
+
+def _flags_of(result: type[PairColumns]) -> list[str]:
+    """Names of the attributes that say what a result leaves out."""
+    return [each.name for each in fields(result) if each.name in ("_is_of_rank", "_is_earliest", "_has_each_world")]
 
 
 def contacts_of(rows: ContactRows, report: str, stats: Stats, scene: Scene | None = None) -> Contacts | CollidingPairs:

@@ -26,7 +26,7 @@ def first_time(pairs: Tensor, time: Tensor, scene: Scene | None, by: By, incompl
     if by == "scene":
         found = torch.cat([time, time.new_full((1,), torch.inf)]).min()
     else:
-        owner, count = _owners(pairs, scene, by)
+        owner, count = owners(pairs, scene, by)
         first = time.new_full((count + 1,), torch.inf)
         found = first.scatter_reduce(0, owner, time.repeat_interleave(2), "amin")[:count]
     return found if incomplete is None else found.masked_fill(incomplete.reshape(()), 0.0)
@@ -37,11 +37,11 @@ def any_contact(pairs: Tensor, scene: Scene | None, by: By) -> Tensor:
     arguments.choice(by, "by", _BY)
     if by == "scene":
         return (pairs[:, 0] >= 0).any()
-    owner, count = _owners(pairs, scene, by)
+    owner, count = owners(pairs, scene, by)
     return pairs.new_zeros((count + 1,), dtype=torch.bool).index_fill(0, owner, True)[:count]
 
 
-def _owners(pairs: Tensor, scene: Scene | None, by: By) -> tuple[Tensor, int]:
+def owners(pairs: Tensor, scene: Scene | None, by: By) -> tuple[Tensor, int]:
     """For both bodies of each row of `pairs` (K, 2) the body or its world, (2 K,), and their number, which stands for
     padding.
     """

@@ -1,7 +1,7 @@
 """Narrow phase: from candidate feature pairs to contacts; and elementary tests of the caller's own points."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Final, Literal
 
 import torch
@@ -16,8 +16,11 @@ from pgccd.detection.checks import (
     operator_tolerance,
     require,
     require_bodies,
+    separation_value,
 )
 from pgccd.detection.contacts import ContactRows, take_earliest
+from pgccd.detection.derivatives import Corners, differentiate
+from pgccd.motion.differentiable import any_differentiated, with_gradient_of
 
 __all__ = ["ContactReport", "ElementaryResult", "Kind", "Report", "Status", "edge_edge", "find_contacts", "vertex_face"]
 
@@ -103,12 +106,19 @@ class ElementaryResult:
     toi: Tensor
     coordinates: Tensor
     significant_bits: Tensor
+    # See `differentiable`; None if no input required grad.
+    _differentiable: Tensor | None = field(default=None, repr=False)
+
+    @property
+    def differentiable(self) -> Tensor:
+        """(n,) bool: as of `pgccd.Contacts`; False also where features do not touch."""
+        return torch.zeros_like(self.status, dtype=torch.bool) if self._differentiable is None else self._differentiable
 
 
 def vertex_face(
     points_t0: Tensor,
     points_t1: Tensor,
-    min_separation: float = 0.0,
+    min_separation: float | Tensor = 0.0,
     tolerance: float | None = 1e-6,
     nonzero_toi: bool = False,
 ) -> ElementaryResult:
@@ -119,13 +129,13 @@ def vertex_face(
 
     Args:
         points_t0, points_t1: (n, 4, 3) float32 or float64, positions of v, f0, f1, f2 at both ends, any one length
-            unit.
-        min_separation: touching means a distance of at most this.
+            unit. If they or min_separation require grad, so do toi and coordinates.
+        min_separation: touching means a distance of at most this; a tensor () if it requires grad.
         tolerance: a contact comes within min_separation + tolerance (length). None: 1e-6.
         nonzero_toi: never return toi = 0 unless the pair starts within the separation (to rounding).
 
     Raises:
-        TypeError, ValueError: naming the argument; also if points require grad.
+        TypeError, ValueError: naming the argument.
 
     Example:
         >>> hit = pgccd.narrow.vertex_face(x0, x1)
@@ -137,7 +147,7 @@ def vertex_face(
 def edge_edge(
     points_t0: Tensor,
     points_t1: Tensor,
-    min_separation: float = 0.0,
+    min_separation: float | Tensor = 0.0,
     tolerance: float | None = 1e-6,
     nonzero_toi: bool = False,
 ) -> ElementaryResult:
@@ -149,7 +159,7 @@ def edge_edge(
         min_separation, tolerance, nonzero_toi: as for `vertex_face`.
 
     Raises:
-        TypeError, ValueError: naming the argument; also if points require grad.
+        TypeError, ValueError: naming the argument.
 
     Example:
         >>> hit = pgccd.narrow.edge_edge(x0, x1, min_separation=1e-3)
@@ -161,15 +171,36 @@ def _solve(
     test: Callable[[Tensor, Tensor, float, float, bool], tuple[Tensor, Tensor, Tensor, Tensor]],
     points_t0: Tensor,
     points_t1: Tensor,
-    min_separation: float,
+    min_separation: float | Tensor,
     tolerance: float | None,
     nonzero_toi: bool,
 ) -> ElementaryResult:
     points_t0, points_t1 = _queries(points_t0, points_t1)
     tolerance = _ELEMENTARY_TOLERANCE if tolerance is None else arguments.length(tolerance, "tolerance")
-    min_separation = check_separation(min_separation)
+    separation = separation_value(min_separation)
     nonzero_toi = arguments.flag(nonzero_toi, "nonzero_toi")
-    return ElementaryResult(*test(points_t0, points_t1, min_separation, tolerance, nonzero_toi))
+    found = ElementaryResult(*test(points_t0.detach(), points_t1.detach(), separation, tolerance, nonzero_toi))
+    if not any_differentiated(points_t0, points_t1, min_separation):
+        return found
+    # By the corners of `Corners`.
+    corners = [[0, 1, 0], [2, 2, 3]] if test is ops.edge_edge else [[0, 0, 0], [1, 2, 3]]
+    start, end = (points.double()[:, corners] for points in (points_t0, points_t1))
+    sound = (found.status == Status.TOUCH) & (found.toi > 0.0)
+    time = torch.where(sound, found.toi.double(), 0.0)
+    velocity = end - start
+    at_toi = Corners(
+        position=start + time[:, None, None, None] * velocity,
+        velocity=velocity.detach(),
+        on_edges=torch.full_like(sound, test is ops.edge_edge),
+        separation=torch.zeros_like(time) + min_separation,
+    )
+    expressions = differentiate(at_toi, sound, found.coordinates.double(), None)
+    return replace(
+        found,
+        toi=with_gradient_of(found.toi, expressions.toi, "toi"),
+        coordinates=with_gradient_of(found.coordinates, expressions.coordinates, "coordinates"),
+        _differentiable=expressions.differentiable,
+    )
 
 
 def find_contacts(
@@ -200,6 +231,7 @@ def find_contacts(
     """
     require_bodies(bodies)
     pairs = check_pairs(pairs, bodies)
+    candidates = arguments.as_tensor(candidates, "candidates")
     bodies.check()
     check_tensor(candidates, "candidates", torch.int32, ("C", 4), bodies.device)
     require(
@@ -236,13 +268,13 @@ def _names_features(bodies: MovingBodies, pairs: Tensor, candidates: Tensor) -> 
 
 
 def _queries(points_t0: Tensor, points_t1: Tensor) -> tuple[Tensor, Tensor]:
+    points_t0, points_t1 = arguments.real_tensor(points_t0, "points_t0"), arguments.real_tensor(points_t1, "points_t1")
     for name, points in (("points_t0", points_t0), ("points_t1", points_t1)):
-        arguments.real_tensor(points, name)
         arguments.shape(points, name, ("n", 4, 3))
     if points_t0.dtype != points_t1.dtype:
         raise TypeError(f"points_t1: expected dtype {points_t0.dtype}, got {points_t1.dtype}")
     arguments.shape(points_t1, "points_t1", points_t0.shape, points_t0.device)
-    return points_t0.detach().contiguous(), points_t1.detach().contiguous()
+    return points_t0.contiguous(), points_t1.contiguous()
 
 
 def __dir__() -> list[str]:

@@ -10,8 +10,9 @@ from pgccd import arguments, ops
 from pgccd.detection import broad, narrow
 from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.capacity import EXACTLY, BufferSizes, Capacity, sizes_of
-from pgccd.detection.checks import Initial, check_pairs, warn_of_only_body
+from pgccd.detection.checks import Initial, check_pairs, separation_value, warn_of_only_body
 from pgccd.detection.contacts import CollidingPairs, Contacts
+from pgccd.detection.gradients import add_gradients
 from pgccd.detection.memory import CapacityEstimate, estimate_of, memory_limit, pairs_a_chunk
 from pgccd.detection.padded import PaddedSearch, search_padded, search_rigid
 from pgccd.detection.padded_contacts import PaddedCollidingPairs, PaddedContacts
@@ -19,6 +20,7 @@ from pgccd.detection.query import Query
 from pgccd.detection.streaming import stream
 from pgccd.detection.trajectories import TrajectoryContacts, detect_trajectory
 from pgccd.geometry.scene import Scene
+from pgccd.motion.differentiable import any_differentiated
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
 from pgccd.runtime.attempts import TooSmall, until_it_fits
@@ -44,7 +46,7 @@ def detect(
     scene: Scene,
     motion: RigidMotion | VertexMotion,
     report: narrow.ContactReport = "first",
-    min_separation: float = 0.0,
+    min_separation: float | Tensor = 0.0,
     *,
     pairs: Tensor | None = None,
     capacity: None = None,
@@ -55,7 +57,7 @@ def detect(
     scene: Scene,
     motion: RigidMotion | VertexMotion,
     report: Literal["any"],
-    min_separation: float = 0.0,
+    min_separation: float | Tensor = 0.0,
     *,
     pairs: Tensor | None = None,
     capacity: None = None,
@@ -66,7 +68,7 @@ def detect(
     scene: Scene,
     motion: RigidMotion | VertexMotion,
     report: narrow.Report,
-    min_separation: float = 0.0,
+    min_separation: float | Tensor = 0.0,
     *,
     pairs: Tensor | None = None,
     capacity: None = None,
@@ -77,7 +79,7 @@ def detect(
     scene: Scene,
     motion: RigidMotion | VertexMotion,
     report: narrow.ContactReport = "first",
-    min_separation: float = 0.0,
+    min_separation: float | Tensor = 0.0,
     *,
     pairs: Tensor | None = None,
     capacity: Capacity,
@@ -88,7 +90,7 @@ def detect(
     scene: Scene,
     motion: RigidMotion | VertexMotion,
     report: Literal["any"],
-    min_separation: float = 0.0,
+    min_separation: float | Tensor = 0.0,
     *,
     pairs: Tensor | None = None,
     capacity: Capacity,
@@ -99,7 +101,7 @@ def detect(
     scene: Scene,
     motion: RigidMotion | VertexMotion,
     report: narrow.Report,
-    min_separation: float = 0.0,
+    min_separation: float | Tensor = 0.0,
     *,
     pairs: Tensor | None = None,
     capacity: Capacity,
@@ -110,7 +112,7 @@ def detect(
     scene: Scene,
     motion: Trajectory,
     report: narrow.ContactReport = "first",
-    min_separation: float = 0.0,
+    min_separation: float | Tensor = 0.0,
     **options: Unpack[DetectOptions],
 ) -> TrajectoryContacts: ...
 @overload
@@ -118,7 +120,7 @@ def detect(
     scene: Scene,
     motion: Trajectory,
     report: Literal["any"],
-    min_separation: float = 0.0,
+    min_separation: float | Tensor = 0.0,
     **options: Unpack[DetectOptions],
 ) -> CollidingPairs: ...
 @overload
@@ -126,14 +128,14 @@ def detect(
     scene: Scene,
     motion: Trajectory,
     report: narrow.Report,
-    min_separation: float = 0.0,
+    min_separation: float | Tensor = 0.0,
     **options: Unpack[DetectOptions],
 ) -> TrajectoryContacts | CollidingPairs: ...
 def detect(
     scene: Scene,
     motion: RigidMotion | VertexMotion | Trajectory,
     report: narrow.Report = "first",
-    min_separation: float = 0.0,
+    min_separation: float | Tensor = 0.0,
     *,
     tolerance: float | None = None,
     nonzero_toi: bool = False,
@@ -152,6 +154,9 @@ def detect(
     The same holds within a body that deforms (`VertexMotion`) and has `self_collision` set in the scene, for features
     that share no vertex; such contacts have the pair (i, i). A body wholly inside another, without contact, does not
     touch its surface: see `pgccd.enclosed`.
+
+    If columns of the motion, margins or min_separation (then a tensor ()) require grad, so do the times, points,
+    coordinates and normals of the contacts: see docs/how-to/gradients.md. The bits of the result do not depend on it.
 
     Args:
         scene: the bodies.
@@ -184,7 +189,7 @@ def detect(
         once, to read the counts; again only if a step exceeds the capacity estimated from the last one.
 
     Raises:
-        ValueError, TypeError: naming the argument; also if an input requires grad: there are no gradients yet. A
+        ValueError, TypeError: naming the argument; also if an input requires grad and a capacity is given. A
             UserWarning names a scene whose only body is not tested against itself.
 
     Example:
@@ -192,7 +197,7 @@ def detect(
         >>> safe = float(hits.toi[0]) if len(hits) else 1.0
         >>> x = x0 + safe * (x1 - x0)
     """
-    query = Query(report, min_separation, tolerance, nonzero_toi, initial)
+    query = Query(report, separation_value(min_separation), tolerance, nonzero_toi, initial)
     if memory_budget is not None:
         memory_budget = arguments.integer(memory_budget, "memory_budget", 1, "a number of bytes > 0")
     sizes = None if capacity is None else sizes_of(capacity)
@@ -211,6 +216,15 @@ def detect(
         options: DetectOptions = {"tolerance": tolerance, "nonzero_toi": nonzero_toi, "initial": initial}
         options |= {"broad_phase": broad_phase, "memory_budget": memory_budget}
         return detect_trajectory(scene, motion, query, partial(detect, min_separation=min_separation, **options))
+    given = scene, motion
+    differentiated = motion._is_differentiated or any_differentiated(scene.margin, min_separation)
+    if differentiated:
+        if capacity is not None:
+            raise ValueError(
+                "capacity: contacts in a given capacity have no gradients, but an input requires grad: leave the "
+                "capacity out, or call it under torch.no_grad()"
+            )
+        scene, motion = scene._detached(), motion._detached()
     on_cpu = scene.device.type == "cpu"
     start = time.perf_counter() if capacity is None else 0.0  # time is not available in compiled graphs
     # An operator for the whole step also checks the poses.
@@ -226,7 +240,9 @@ def detect(
         return search_padded(bodies, query, sizes, broad_phase, pairs, marks_invalid=True).padded()
     found = detect_moving(bodies, query, broad_phase, pairs, memory_budget)
     found.stats.seconds = {"bounds": seconds} | found.stats.seconds
-    found.scene = scene
+    found.scene = given[0]
+    if differentiated and isinstance(found, Contacts):
+        add_gradients(found, *given, min_separation)
     return found
 
 

@@ -13,6 +13,7 @@ from pgccd.detection.contacts import COLUMNS, CollidingPairs, Contacts, earliest
 from pgccd.detection.grouping import By
 from pgccd.detection.query import Query
 from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
+from pgccd.motion.differentiable import with_gradient_of
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
 
@@ -38,6 +39,10 @@ class TrajectoryContacts(Contacts):
     time: Tensor
 
     _names: ClassVar[tuple[str, ...]] = (*COLUMNS, "segment", "time")
+
+    @property
+    def _order(self) -> tuple[Tensor, ...]:
+        return self.segment, self.toi
 
     def first_toi(self, by: By = "scene") -> Tensor:
         """The first `time` along the whole trajectory: in [0, 1], float64, inf without a contact.
@@ -68,7 +73,7 @@ def detect_trajectory(
     segments, count = trajectory.segment_count, scene.body_count
     if scene.device != trajectory.device:
         raise ValueError(f"motion: is on {trajectory.device}, the scene on {scene.device}")
-    check_scene(scene)
+    check_scene(scene._detached())
     rows, expected = trajectory.position.shape[1], count
     if trajectory.orientation is None:
         expected = scene.layout.vertex_count
@@ -96,11 +101,14 @@ def detect_trajectory(
         chosen = earliest_row(torch.where(segment == first, found.toi, torch.inf))
     columns = {name: column[chosen] for name, column in (found.columns | {"pairs": pairs}).items()}
     segment = segment[chosen]
-    time = time_along(segment, columns["toi"], segments)
+    time = time_along(segment, columns["toi"].detach(), segments)
+    if columns["toi"].requires_grad:
+        time = with_gradient_of(time, columns["toi"] / segments, "time")
     stats.contacts = len(segment)
     contacts = TrajectoryContacts(**columns, stats=stats, segment=segment, time=time)
     contacts.scene = scene
     contacts._is_earliest = query.report == "earliest"
+    contacts._differentiable = None if found._differentiable is None else found._differentiable[chosen]
     return contacts
 
 

@@ -38,7 +38,7 @@ def _require(sound: Tensor, values: Tensor, name: str, expected: str) -> None:
 def _column(values: Any, name: str, expected: str) -> Tensor:
     """The values as a tensor of one dimension."""
     try:
-        column = torch.as_tensor(values)
+        column = torch.as_tensor(arguments.as_tensor(values, name))
     except (TypeError, ValueError, RuntimeError, OverflowError) as error:
         raise TypeError(
             f"{name}: expected {expected}, one per body, got {arguments.describe(values)}: {error}"
@@ -79,7 +79,7 @@ def bool_column(values: Tensor | Sequence[bool], name: str, count: int, device: 
 
 def margin_column(values: Tensor | Sequence[float] | float, count: int, device: torch.device) -> Tensor:
     """Lengths >= 0, a single one or one per body, as (count,) float64 on the device."""
-    column = arguments.real_numbers(values, "margin", "a length, or one per body").to(device)
+    column = arguments.real_numbers(values, "margin", "a length, or one per body", with_gradient=True).to(device)
     if column.dim() == 0:
         column = column.expand(count)
     if column.shape != (count,):

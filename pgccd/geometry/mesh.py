@@ -28,6 +28,11 @@ _MOST_EDGES = 2**30 - 1
 _FURTHEST_ORIGIN = 1e12
 
 
+# Entries of a mesh's state_dict: what it is built from, and where it comes from.
+_STATE = ("vertices", "faces", "origin", "centre", "centre_offset")
+_OF_FILE = ("name", "welded_vertices", "dropped_faces", "source_vertex", "source_face")
+
+
 class Mesh:
     """A triangle mesh with its sphere bounding volume (SBV) and hierarchy.
 
@@ -92,7 +97,19 @@ class Mesh:
         reference = origin_point(origin, points, triangles, centre)
         # Coordinates relative to the origin are taken as exact; all else is derived from them.
         body = points - reference
-        offset = centre - reference
+        self._prepare(body, triangles, reference, centre, centre - reference)
+
+    def _prepare(
+        self, body: np.ndarray, triangles: np.ndarray, reference: np.ndarray, centre: np.ndarray, offset: np.ndarray
+    ) -> None:
+        """Sets all attributes that are derived.
+
+        Args:
+            body: (V, 3) vertices relative to the origin.
+            triangles: (F, 3).
+            reference, centre: (3,) the origin and the SBV centre, in the coordinates given.
+            offset: (3,) of the SBV centre relative to the origin.
+        """
         local = body - offset if offset.any() else body
         radius = float(np.sqrt((local[triangles.ravel()] ** 2).sum(axis=1).max()))
         if not SMALLEST_RADIUS <= radius <= LARGEST_RADIUS:
@@ -275,6 +292,41 @@ class Mesh:
         mesh.source_face = torch.from_numpy(source_face)
         return mesh
 
+    def state_dict(self) -> dict[str, Any]:
+        """The mesh as a dictionary of tensors, numbers and its name, for `torch.save` and `torch.load` with
+        weights_only=True.
+
+        Example:
+            >>> torch.save(rock.state_dict(), "rock.pt")
+        """
+        return {name: getattr(self, name) for name in (*_STATE, *_OF_FILE)}
+
+    @classmethod
+    def from_state_dict(cls, state: dict[str, Any]) -> Mesh:
+        """The mesh of a `state_dict`, bit by bit. The hierarchy is built again.
+
+        Args:
+            state: from `state_dict`.
+
+        Raises:
+            TypeError, ValueError: naming the entry that is missing or invalid.
+
+        Example:
+            >>> again = pgccd.Mesh.from_state_dict(rock.state_dict())
+        """
+        arguments.entries(state, (*_STATE, *_OF_FILE))
+        points = _as_array(state["vertices"], np.float64, "vertices")
+        triangles = _as_array(state["faces"], np.int64, "faces")
+        _check_faces(points, triangles)
+        places = [checked_origin(state[name]) for name in ("origin", "centre", "centre_offset")]
+        if any(isinstance(place, str) for place in places):
+            raise TypeError("origin: expected a point (3 numbers) in a state_dict")
+        mesh = cls.__new__(cls)
+        mesh._prepare(points, triangles, *places)  # type: ignore[arg-type]
+        for name in _OF_FILE:
+            setattr(mesh, name, state[name])
+        return mesh
+
     name: str | None = None
     welded_vertices: int = 0
     dropped_faces: int = 0
@@ -362,6 +414,7 @@ class MeshSet:
 
 
 def _as_array(values: npt.ArrayLike | Tensor, dtype: type, name: str) -> np.ndarray:
+    values = arguments.as_tensor(values, name)
     if isinstance(values, Tensor):
         arguments.refuse_gradient(values, name)
     numbers = "float32, float64 or integers" if dtype is np.float64 else "integers"

@@ -280,9 +280,19 @@ class Scene:
             self._world_count = Derived(self.world, 1 + int(self.world.max()) if self.body_count else 0)
         return self._world_count.value
 
+    def _detached(self) -> Scene:
+        """The scene without gradients; itself if it has none. Both share capacity estimates."""
+        if not arguments.is_differentiated(self.margin):
+            return self
+        assert self.margin is not None
+        _ = self._capacity_estimates  # made now, to be shared
+        plain = copy.copy(self)
+        plain.margin = self.margin.detach()
+        return plain
+
     def _check_columns(self) -> None:
-        """Raises TypeError or ValueError if a column was replaced by one of another type, shape or device. Values are
-        not checked.
+        """Raises TypeError or ValueError if a column was replaced by one of another type, shape or device, or requires
+        grad. Values are not checked.
         """
         for name, dtype in _DTYPES.items():
             column = getattr(self, name)
@@ -297,11 +307,59 @@ class Scene:
                 raise ValueError(f"{name}: expected {expected}, got {tuple(column.shape)} on {column.device}")
             if not column.is_contiguous():
                 raise ValueError(f"{name}: expected a contiguous tensor")
+            arguments.refuse_gradient(column, name)
         fixed, given = self._fixed, self.self_collision
         if self._is_trusted or (fixed is None and given is None):
             return
         if fixed is None or not isinstance(given, Tensor) or not fixed.is_of(given):
             raise ValueError("self_collision: it is fixed, but was written or replaced: make a new Scene")
+
+    def __getitem__(self, rows: Tensor | slice | Sequence[int]) -> Scene:
+        """The scene of some bodies: a mask (N,), row numbers or a slice. Motions are indexed in the same way. May
+        synchronise with a GPU.
+
+        Example:
+            >>> part = scene[:1]
+        """
+        picked = arguments.rows(rows, "rows", self.body_count)
+        columns: dict[str, Any] = {name: getattr(self, name) for name in (*OPTIONAL_COLUMNS, "self_collision")}
+        given = {name: column[picked] for name, column in columns.items() if column is not None}
+        if "static" in given:
+            given["static"] = given["static"].bool()
+        return Scene(self.meshes, self.mesh_index[picked], **given)
+
+    def state_dict(self) -> dict[str, Any]:
+        """The scene and its meshes as a dictionary of tensors, lists and numbers, without gradients, for `torch.save`
+        and `torch.load` with weights_only=True.
+
+        Example:
+            >>> torch.save(scene.state_dict(), "scene.pt")
+        """
+        self._detached()._check_columns()
+        columns = {name: getattr(self._detached(), name) for name in _ENTRIES}
+        return {"meshes": [mesh.state_dict() for mesh in self.meshes.meshes], **columns}
+
+    @classmethod
+    def from_state_dict(cls, state: dict[str, Any], device: torch.device | str = "cpu") -> Scene:
+        """The scene of a `state_dict`: its detections are equal, bit by bit.
+
+        Args:
+            state: from `state_dict`.
+            device: of all tensors.
+
+        Raises:
+            TypeError, ValueError: naming the entry that is missing or invalid.
+
+        Example:
+            >>> again = pgccd.Scene.from_state_dict(scene.state_dict())
+        """
+        arguments.entries(state, ("meshes", *_ENTRIES))
+        given = {name: state[name] for name in _ENTRIES}
+        given["static"] = None if given["static"] is None else given["static"].bool()
+        given["self_collision"] = False if given["self_collision"] is None else given["self_collision"]
+        if not isinstance(state["meshes"], list):
+            raise TypeError(f"meshes: expected a list of states of meshes, got {arguments.describe(state['meshes'])}")
+        return cls([Mesh.from_state_dict(mesh) for mesh in state["meshes"]], device=device, **given)
 
     def to(self, device: torch.device | str) -> Scene:
         """A copy on another device, meshes included.
@@ -338,3 +396,5 @@ _DTYPES = {
     "static": torch.uint8,
     "margin": torch.float64,
 }
+# Those and what is fixed: the entries of a state_dict besides meshes.
+_ENTRIES = (*_DTYPES, "self_collision")

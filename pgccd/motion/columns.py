@@ -2,13 +2,14 @@
 
 import copy
 from collections.abc import Mapping, Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
 
 from pgccd import arguments
 from pgccd.arguments import real_rows
+from pgccd.motion.differentiable import any_differentiated
 from pgccd.motion.validation import Checked, Validation, columns_checked, first_invalid_rows, joined
 
 _Self = TypeVar("_Self", bound="MovingColumns")
@@ -43,7 +44,7 @@ class MovingColumns:
         """The current columns that detection reads.
 
         Raises:
-            TypeError, ValueError: a column was replaced by one of another type, shape or device.
+            TypeError, ValueError: a column was replaced by one of another type, shape or device, or requires grad.
         """
         columns = {name: getattr(self, name) for name in self._names}
         if self._is_trusted or all(
@@ -60,6 +61,20 @@ class MovingColumns:
         if all(columns[name] is column for name, column in given.items()):
             self._sound = given
         return columns
+
+    @property
+    def _is_differentiated(self) -> bool:
+        """Whether a column requires grad while gradients are enabled."""
+        return any_differentiated(*(getattr(self, name) for name in self._names))
+
+    def _detached(self: _Self) -> _Self:
+        """The motion without gradients; itself if it has none."""
+        if not self._is_differentiated:
+            return self
+        plain = copy.copy(self)
+        for name in self._names:
+            setattr(plain, name, getattr(self, name).detach())
+        return plain
 
     def _first_invalid_rows(self, columns: Mapping[str, Tensor] | None = None, more: Sequence[Checked] = ()) -> Tensor:
         """(F + 1,) int64 on the motion's device: the first invalid row of each argument, or the number of rows; then 1
@@ -133,6 +148,19 @@ class MovingColumns:
         moved._given = {name: column.to(device) for name, column in self._given.items()}
         return moved
 
+    def state_dict(self) -> dict[str, Any]:
+        """The motion as a dictionary of tensors and names, without gradients, for `torch.save` and `torch.load` with
+        weights_only=True.
+
+        Raises:
+            TypeError, ValueError: the motion is invalid.
+
+        Example:
+            >>> torch.save(motion.state_dict(), "motion.pt")
+        """
+        self._check_given()
+        return dict(self._detached().columns())
+
     def _check_early(
         self, origins: Mapping[str, Tensor] | None = None, given: Mapping[str, Tensor] | None = None
     ) -> None:
@@ -147,11 +175,11 @@ class MovingColumns:
             if given:
                 self._given, self._given_invalid_rows = given, first_invalid_rows(self._checked(given))
             return
-        columns = self._checked({**given, **self.columns()})
+        columns = self._checked({**given, **self._detached().columns()})
         first = first_invalid_rows(columns).tolist()
         if not first[-1]:
             return
         if origins:
-            of_origins = columns_checked(origins, self._row)
+            of_origins = columns_checked({name: column.detach() for name, column in origins.items()}, self._row)
             Validation(of_origins).raise_from(first_invalid_rows(of_origins).tolist())
         Validation(columns).raise_from(first)

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from typing import Literal, get_args
+from functools import partial
+from typing import Any, Literal, get_args
 
 import torch
 from torch import Tensor
 
 from pgccd import arguments, ops
-from pgccd.arguments import real_rows
 from pgccd.motion.columns import MovingColumns
+from pgccd.motion.differentiable import any_differentiated, pose_at, rotation_between, with_gradient_of
 from pgccd.motion.times import broadcast_times, fractions_of
 from pgccd.motion.validation import checks_of
+
+# Columns of a motion may require grad, for `pgccd.detect`.
+_rows = partial(arguments.real_rows, with_gradient=True)
 
 PathKind = Literal["rigid", "linear"]
 PATHS = get_args(PathKind)
@@ -35,7 +39,8 @@ class RigidMotion(MovingColumns):
         path: "rigid" or "linear".
 
     float32 input is widened to float64 exactly. All tensors are on one device. float64 input is shared, not copied, so
-    later writes to it change the motion. Values are checked at construction on a CPU, and at each use.
+    later writes to it change the motion. Values are checked at construction on a CPU, and at each use. Inputs may
+    require grad: see docs/how-to/gradients.md.
 
     Attributes:
         position_t0, position_t1: (N, 3) float64.
@@ -44,7 +49,7 @@ class RigidMotion(MovingColumns):
         path: "rigid" or "linear".
 
     Raises:
-        TypeError, ValueError: naming the argument, and the first offending body; also if an input requires grad.
+        TypeError, ValueError: naming the argument, and the first offending body.
 
     Example:
         >>> motion = pgccd.RigidMotion(position, orientation, position + dt * velocity, orientation)
@@ -62,9 +67,12 @@ class RigidMotion(MovingColumns):
         path: PathKind = "rigid",
     ) -> None:
         self._set(position_t0, orientation_t0, position_t1, path)
-        orientation_t1 = real_rows(orientation_t1, "orientation_t1", self.body_count, 4, self.device)
-        self.rotation = ops.rotations_between(self.orientation_t0, orientation_t1)
-        self._check_early(given={"orientation_t1": orientation_t1})
+        orientation_t1 = _rows(orientation_t1, "orientation_t1", self.body_count, 4, self.device)
+        self.rotation = ops.rotations_between(self.orientation_t0.detach(), orientation_t1.detach())
+        if any_differentiated(self.orientation_t0, orientation_t1):
+            expression = rotation_between(self.orientation_t0, orientation_t1)
+            self.rotation = with_gradient_of(self.rotation, expression, "rotation")
+        self._check_early(given={"orientation_t1": orientation_t1.detach()})
 
     @classmethod
     def from_velocity(
@@ -91,11 +99,11 @@ class RigidMotion(MovingColumns):
         Example:
             >>> motion = pgccd.RigidMotion.from_velocity(x, q, v, omega, dt=1e-3)
         """
-        start = real_rows(position, "position", None, 3, None)
+        start = _rows(position, "position", None, 3, None)
         count, device = start.shape[0], start.device
-        orientation = real_rows(orientation, "orientation", count, 4, device)
-        velocity = real_rows(linear_velocity, "linear_velocity", count, 3, device)
-        spin = real_rows(angular_velocity, "angular_velocity", count, 3, device)
+        orientation = _rows(orientation, "orientation", count, 4, device)
+        velocity = _rows(linear_velocity, "linear_velocity", count, 3, device)
+        spin = _rows(angular_velocity, "angular_velocity", count, 3, device)
         dt = arguments.number(dt, "dt", "a finite duration >= 0")
         if not 0 <= dt < float("inf"):
             raise ValueError(f"dt: expected a finite duration >= 0, got {dt}")
@@ -126,8 +134,8 @@ class RigidMotion(MovingColumns):
         Example:
             >>> touching = pgccd.detect(scene, pgccd.RigidMotion.at_rest(x, q), "any").pairs
         """
-        start = real_rows(position, "position", None, 3, None)
-        orientation = real_rows(orientation, "orientation", start.shape[0], 4, start.device)
+        start = _rows(position, "position", None, 3, None)
+        orientation = _rows(orientation, "orientation", start.shape[0], 4, start.device)
         motion = cls.__new__(cls)
         motion._set(start, orientation, start, "rigid")
         # Zero by definition, not by cancellation.
@@ -161,7 +169,7 @@ class RigidMotion(MovingColumns):
         """
         motion = cls.__new__(cls)
         motion._set(position_t0, orientation_t0, position_t1, path)
-        motion.rotation = real_rows(rotation, "rotation", motion.body_count, 3, motion.device)
+        motion.rotation = _rows(rotation, "rotation", motion.body_count, 3, motion.device)
         motion._check_early()
         return motion
 
@@ -187,11 +195,35 @@ class RigidMotion(MovingColumns):
         motion.position_t1, motion.rotation = position_t1, rotation
         return motion
 
+    def state_dict(self) -> dict[str, Any]:
+        """As of `MovingColumns`, with the kind of path.
+
+        Example:
+            >>> torch.save(motion.state_dict(), "motion.pt")
+        """
+        return {**super().state_dict(), "path": self.path}
+
+    @classmethod
+    def from_state_dict(cls, state: dict[str, Any]) -> RigidMotion:
+        """The motion of a `state_dict`, bit by bit, on the device of its tensors.
+
+        Args:
+            state: from `state_dict`.
+
+        Raises:
+            TypeError, ValueError: naming the entry that is missing or invalid.
+
+        Example:
+            >>> again = pgccd.RigidMotion.from_state_dict(motion.state_dict())
+        """
+        arguments.entries(state, (*cls._names, "path"))
+        return cls.from_rotation(**state)
+
     def _set(self, position_t0: Tensor, orientation_t0: Tensor, position_t1: Tensor, path: PathKind) -> None:
-        self.position_t0 = real_rows(position_t0, "position_t0", None, 3, None)
+        self.position_t0 = _rows(position_t0, "position_t0", None, 3, None)
         count, device = self.position_t0.shape[0], self.position_t0.device
-        self.orientation_t0 = real_rows(orientation_t0, "orientation_t0", count, 4, device)
-        self.position_t1 = real_rows(position_t1, "position_t1", count, 3, device)
+        self.orientation_t0 = _rows(orientation_t0, "orientation_t0", count, 4, device)
+        self.position_t1 = _rows(position_t1, "position_t1", count, 3, device)
         arguments.choice(path, "path", PATHS)
         self.path: PathKind = path
 
@@ -222,14 +254,23 @@ class RigidMotion(MovingColumns):
             raise ValueError(
                 'path: "linear" moves vertices, not poses: between t0 and t1 a body is not rigid; use `VertexMotion.at`'
             )
-        time = broadcast_times(t, self.body_count, self.device)
+        time = broadcast_times(t, self.body_count, self.device, with_gradient=True)
         columns = (self.position_t0, self.position_t1, self.orientation_t0, self.rotation)
-        rows = (column.expand(*time.shape, -1).reshape(-1, column.shape[1]).contiguous() for column in columns)
+        rows = (column.detach().expand(*time.shape, -1).reshape(-1, column.shape[1]).contiguous() for column in columns)
         position_t0, position_t1, orientation_t0, rotation = rows
         position, orientation = ops.poses_at(
-            position_t0, position_t1, orientation_t0, rotation, time.reshape(-1).contiguous()
+            position_t0, position_t1, orientation_t0, rotation, time.detach().reshape(-1).contiguous()
         )
-        return position.view(*time.shape, 3), orientation.view(*time.shape, 4)
+        position, orientation = position.view(*time.shape, 3), orientation.view(*time.shape, 4)
+        if not any_differentiated(time, *columns):
+            return position, orientation
+        expressions = pose_at(*columns, time)
+        return tuple(  # type: ignore[return-value]
+            with_gradient_of(value, expression, f"RigidMotion.at: {name}")
+            for name, value, expression in zip(
+                ("position", "orientation"), (position, orientation), expressions, strict=True
+            )
+        )
 
     def shortened(self, fraction: Tensor | float) -> RigidMotion:
         """The motion along the first part of each path, x(fraction t), in the same step: position_t1 is rounded to
@@ -281,7 +322,7 @@ class VertexMotion(MovingColumns):
         x_t0, x_t1: (X, 3) float64.
 
     Raises:
-        TypeError, ValueError: naming the argument, and the first offending vertex; also if an input requires grad.
+        TypeError, ValueError: naming the argument, and the first offending vertex.
 
     Example:
         >>> motion = pgccd.VertexMotion(torch.cat([cloth_t0, ball_t0]), torch.cat([cloth_t1, ball_t1]))
@@ -290,9 +331,26 @@ class VertexMotion(MovingColumns):
     _names, _row = ("x_t0", "x_t1"), "vertex"
 
     def __init__(self, x_t0: Tensor, x_t1: Tensor) -> None:
-        self.x_t0 = real_rows(x_t0, "x_t0", None, 3, None)
-        self.x_t1 = real_rows(x_t1, "x_t1", self.x_t0.shape[0], 3, self.device)
+        self.x_t0 = _rows(x_t0, "x_t0", None, 3, None)
+        self.x_t1 = _rows(x_t1, "x_t1", self.x_t0.shape[0], 3, self.device)
         self._check_early()
+
+    @classmethod
+    def from_state_dict(cls, state: dict[str, Any]) -> VertexMotion:
+        """The motion of a `state_dict`, on the device of its tensors.
+
+        Args:
+            state: from `state_dict`.
+
+        Raises:
+            TypeError, ValueError: naming the entry that is missing or invalid.
+
+        Example:
+            >>> motion = pgccd.VertexMotion(cloth_t0, cloth_t1)
+            >>> again = pgccd.VertexMotion.from_state_dict(motion.state_dict())
+        """
+        arguments.entries(state, cls._names)
+        return cls(**state)
 
     @classmethod
     def _of_checked(cls, x_t0: Tensor, x_t1: Tensor) -> VertexMotion:
@@ -315,7 +373,7 @@ class VertexMotion(MovingColumns):
         Example:
             >>> frames = motion.at(torch.linspace(0, 1, 30)[:, None])  # (30, X, 3)
         """
-        time = broadcast_times(t, self.x_t0.shape[0], self.device)[..., None]
+        time = broadcast_times(t, self.x_t0.shape[0], self.device, with_gradient=True)[..., None]
         return (1.0 - time) * self.x_t0 + time * self.x_t1
 
     def shortened(self, fraction: Tensor | float) -> VertexMotion:

@@ -18,8 +18,13 @@ def fractions_of(fraction: Tensor | float, count: int, device: torch.device) -> 
     return made
 
 
-def broadcast_times(t: Tensor | float, count: int, device: torch.device, name: str = "t") -> Tensor:
+def broadcast_times(
+    t: Tensor | float, count: int, device: torch.device, name: str = "t", with_gradient: bool = False
+) -> Tensor:
     """`t` as (..., count) float64.
+
+    Args:
+        with_gradient: whether `t` may require grad; the result then does.
 
     Raises:
         TypeError, ValueError: `t` is not real, has the wrong shape, or is outside of [0, 1].
@@ -30,7 +35,7 @@ def broadcast_times(t: Tensor | float, count: int, device: torch.device, name: s
         if not 0.0 <= t <= 1.0:
             raise ValueError(f"{name}: expected times in [0, 1], got {t}")
         return torch.full((count,), t, dtype=torch.float64, device=device)
-    time = arguments.real_numbers(t, name, "times in [0, 1]").to(device)
+    time = arguments.real_numbers(t, name, "times in [0, 1]", with_gradient).to(device)
     try:
         shape = torch.broadcast_shapes(time.shape, (count,))
     except RuntimeError:
@@ -42,5 +47,5 @@ def broadcast_times(t: Tensor | float, count: int, device: torch.device, name: s
     if time.device.type != "cpu":
         torch._assert_async(is_inside.all(), f"{name}: expected times in [0, 1]")
     elif not bool(is_inside.all()):
-        raise ValueError(f"{name}: expected times in [0, 1], got {float(time[~is_inside][0])}")
+        raise ValueError(f"{name}: expected times in [0, 1], got {time[~is_inside][0].item()}")
     return time.expand(shape)

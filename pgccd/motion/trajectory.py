@@ -106,7 +106,7 @@ class Trajectory:
 
 
 def _waypoints(values: Tensor, name: str, width: int, like: Tensor | None) -> Tensor:
-    arguments.real_tensor(values, name)
+    values = arguments.real_tensor(values, name)
     if values.dim() != 3 or values.shape[2] != width or values.shape[0] < 2:
         hint = "; bodies of all environments stand in one dimension, see Scene(world=...)" if values.dim() > 3 else ""
         raise ValueError(f"{name}: expected shape (T, N, {width}) with T >= 2, got {tuple(values.shape)}{hint}")
@@ -115,4 +115,5 @@ def _waypoints(values: Tensor, name: str, width: int, like: Tensor | None) -> Te
         raise ValueError(f"{name}: expected shape {shape}, as of position, got {tuple(values.shape)}")
     if like is not None and values.device != like.device:
         raise ValueError(f"{name}: expected device {like.device}, got {values.device}")
-    return values.detach().to(torch.float64).contiguous()
+    values = values if arguments.is_differentiated(values) else values.detach()
+    return values.to(torch.float64).contiguous()

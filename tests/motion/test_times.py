@@ -144,17 +144,6 @@ def test_worlds_written_later() -> None:
     assert first.isinf().tolist() == [True, True, True, False]
 
 
-def test_gradients_are_refused() -> None:
-    motion = random_motion(3, torch.device("cpu"))
-    with pytest.raises(ValueError, match="^t: requires grad"):
-        motion.at(torch.tensor(0.5, requires_grad=True))
-    points = torch.rand(3, 4, 3, requires_grad=True)
-    with pytest.raises(ValueError, match="^position: requires grad"):
-        pgccd.Trajectory(points)
-    with torch.no_grad():
-        assert pgccd.Trajectory(points).segment_count == 2
-
-
 @pytest.mark.parametrize("padded", [False, True])
 def test_the_earliest_contact_bounds_those_of_other_worlds_and_bodies(device: torch.device, padded: bool) -> None:
     """Two worlds, in both of which two bodies intersect."""

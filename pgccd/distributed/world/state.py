@@ -77,7 +77,8 @@ def state_given(
     Raises:
         TypeError, ValueError: naming the argument.
     """
-    arguments.real_tensor(position, "position")
+    position = arguments.real_tensor(position, "position")
+    arguments.refuse_gradient(position, "position")
     if position.dim() != 2 or position.shape[1] != 3 or position.is_meta:
         raise ValueError(f"position: expected shape (N, 3), got {arguments.describe(position)}")
     require_positions(position)

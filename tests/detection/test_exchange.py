@@ -1,0 +1,241 @@
+"""State dictionaries, arrays of other libraries, scenes of some bodies, and the earliest contacts of worlds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from support.gradients import meshes
+from support.same_bits import assert_same
+from torch import Tensor
+
+import pgccd
+
+
+def scattered(count: int, device: torch.device, seed: int = 0) -> tuple[pgccd.Scene, pgccd.RigidMotion]:
+    """Bodies of several meshes in worlds of four, with all optional columns."""
+    random = torch.Generator().manual_seed(seed)
+
+    def normal(*shape: int) -> Tensor:
+        return torch.randn(*shape, dtype=torch.float64, generator=random).to(device)
+
+    shapes = [*meshes()[:2], pgccd.Mesh.sphere(0.7, 1, origin=(0.3, 0.1, 1e-3))]
+    index = torch.randint(0, 3, (count,), generator=random).to(device)
+    rows = torch.arange(count, device=device)
+    scene = pgccd.Scene(
+        shapes,
+        index,
+        device,
+        world=rows // 4,
+        margin=0.01 + 0.02 * normal(count).abs(),
+        static=rows % 4 == 3,
+        group=1 + rows % 2,
+        mask=torch.full_like(rows, 3),
+        self_collision=rows % 3 == 0,
+    )
+    q = [torch.nn.functional.normalize(normal(count, 4), dim=1) for _ in range(2)]
+    x = 1.6 * normal(count, 3)
+    return scene, pgccd.RigidMotion(x, q[0], -0.5 * x, q[1])
+
+
+def saved(state: Any, path: Path) -> Any:
+    torch.save(state, path)
+    return torch.load(path, weights_only=True)
+
+
+@pytest.mark.parametrize("report", ["any", "first", "all", "earliest"])
+def test_states_are_the_same_bits(report: Any, tmp_path: Path, device: torch.device) -> None:
+    scene, motion = scattered(24, device)
+    hits = pgccd.detect(scene, motion, report)
+    assert len(hits) > 0
+    kind = type(hits)
+    again = kind.from_state_dict(saved(hits.state_dict(), tmp_path / "hits"), scene)
+    assert again == hits and again.stats.pcs == hits.stats.pcs
+    assert torch.equal(again.may_collide("body"), hits.may_collide("body"))
+    if isinstance(hits, pgccd.Contacts):
+        assert isinstance(again, pgccd.Contacts)
+        assert torch.equal(again.first_toi("world"), hits.first_toi("world"))
+    there = pgccd.Scene.from_state_dict(saved(scene.state_dict(), tmp_path / "scene"), device)
+    path = pgccd.RigidMotion.from_state_dict(saved(motion.state_dict(), tmp_path / "motion"))
+    assert_same(pgccd.detect(there, path, report), hits)
+
+
+def test_states_of_other_motions(tmp_path: Path, device: torch.device) -> None:
+    scene, motion = scattered(8, device)
+    linear = pgccd.RigidMotion.from_rotation(
+        motion.position_t0, motion.orientation_t0, motion.position_t1, motion.rotation, "linear"
+    )
+    again = pgccd.RigidMotion.from_state_dict(saved(linear.state_dict(), tmp_path / "linear"))
+    assert again.path == "linear" and torch.equal(again.rotation, linear.rotation)
+    ends = torch.randn(scene.layout.vertex_count, 3, dtype=torch.float64, device=device)
+    deforming = pgccd.VertexMotion(ends, ends + 0.3)
+    moved = pgccd.VertexMotion.from_state_dict(saved(deforming.state_dict(), tmp_path / "vertices"))
+    same = pgccd.Scene.from_state_dict(saved(scene.state_dict(), tmp_path / "scene"), device)
+    assert_same(pgccd.detect(same, moved, "all"), pgccd.detect(scene, deforming, "all"))
+    steps = torch.stack([motion.position_t0, motion.position_t1])
+    turns = motion.orientation_t0.expand(2, -1, -1)
+    hits = pgccd.detect(scene, pgccd.Trajectory(steps, turns), "all")
+    loaded = pgccd.TrajectoryContacts.from_state_dict(saved(hits.state_dict(), tmp_path / "hits"), scene)
+    assert loaded == hits and torch.equal(loaded.first_toi("body"), hits.first_toi("body"))
+
+
+def test_states_keep_what_files_say() -> None:
+    mesh = pgccd.Mesh.box([1.0, 2.0, 3.0])
+    mesh.name, mesh.dropped_faces, mesh.source_vertex = "box", 2, torch.arange(8)
+    again = pgccd.Mesh.from_state_dict(mesh.state_dict())
+    assert again.name == "box" and again.dropped_faces == 2 and again.radius == mesh.radius
+    assert torch.equal(again.source_vertex, mesh.source_vertex)  # type: ignore[arg-type]
+    for name in ("vertices", "faces", "edges", "_node_blocks", "_corners", "_node_supports"):
+        assert torch.equal(getattr(again, name).nan_to_num(), getattr(mesh, name).nan_to_num()), name
+
+
+def test_wrong_states_are_named() -> None:
+    scene, motion = scattered(8, torch.device("cpu"))
+    hits = pgccd.detect(scene, motion)
+    state = scene.state_dict()
+    with pytest.raises(ValueError, match="^state: has no entry 'margin'"):
+        pgccd.Scene.from_state_dict({name: value for name, value in state.items() if name != "margin"})
+    with pytest.raises(ValueError, match="^mesh_index: body 0: expected a mesh"):
+        pgccd.Scene.from_state_dict(state | {"mesh_index": scene.mesh_index + 9})
+    broken = state["meshes"][0] | {"faces": state["meshes"][0]["faces"] + 7}
+    with pytest.raises(ValueError, match="^faces: face 0"):
+        pgccd.Scene.from_state_dict(state | {"meshes": [broken, *state["meshes"][1:]]})
+    with pytest.raises(TypeError, match="^state: expected a dictionary"):
+        pgccd.RigidMotion.from_state_dict(motion)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="^state: expected entries .*got 'speed'"):
+        pgccd.VertexMotion.from_state_dict({"x_t0": torch.zeros(3, 3), "x_t1": torch.zeros(3, 3), "speed": 1})
+    with pytest.raises(TypeError, match=r"^toi: expected torch.float64"):
+        pgccd.Contacts.from_state_dict(hits.state_dict() | {"toi": hits.toi.float()})
+    with pytest.raises(ValueError, match="^point: expected shape"):
+        pgccd.Contacts.from_state_dict(hits.state_dict() | {"point": hits.point[:, :2]})
+
+
+def test_scenes_of_some_bodies(device: torch.device) -> None:
+    scene, motion = scattered(24, device)
+    hits = pgccd.detect(scene, motion, "all")
+    for rows in (slice(4, 12), list(range(4, 12)), (torch.arange(24, device=device) // 8) == 1):
+        first = 8 if isinstance(rows, Tensor) else 4
+        inside = hits[((hits.pairs >= first) & (hits.pairs < first + 8)).all(1)]
+        part = pgccd.detect(scene[rows], motion[rows], "all")
+        assert len(part) > 0
+        assert torch.equal(part.pairs + first, inside.pairs) and torch.equal(part.toi, inside.toi)
+        assert scene[rows].world_count == (first + 8) // 4
+    with pytest.raises(IndexError, match="^rows: expected numbers of 24 rows"):
+        scene[[24]]
+
+
+def test_the_earliest_of_each_world(device: torch.device) -> None:
+    scene, motion = scattered(40, device)
+    hits = pgccd.detect(scene, motion)
+    of_worlds = hits.earliest(by="world")
+    assert scene.world is not None
+    worlds = scene.world[of_worlds.pairs[:, 0]].long()
+    assert len(of_worlds) > 3 and len(of_worlds) < len(hits)
+    assert torch.equal(worlds, torch.unique(scene.world[hits.pairs[:, 0]].long()))
+    assert torch.equal(of_worlds.toi, hits.first_toi("world")[worlds])
+    assert torch.equal(of_worlds.first_toi("world"), hits.first_toi("world"))
+    assert torch.equal(of_worlds.may_collide("world"), hits.may_collide("world"))
+    # No body has an earlier contact than its world.
+    bound = of_worlds.first_toi("body")
+    assert bool((bound <= hits.first_toi("body")).all())
+    assert torch.equal(bound, hits.first_toi("world")[scene.world.long()])
+    last = hits.earliest(-torch.arange(len(hits), device=device), by="world")
+    assert torch.equal(last.toi, of_worlds.toi)
+    assert len(hits[[]].earliest(by="world")) == 0
+    single = pgccd.Scene(scene.meshes, scene.mesh_index)
+    assert pgccd.detect(single, motion).earliest(by="world") == pgccd.detect(single, motion).earliest()
+    with pytest.raises(ValueError, match="^by: expected one of"):
+        hits.earliest(by="body")  # type: ignore[arg-type]
+
+
+def test_the_earliest_of_a_trajectory(device: torch.device) -> None:
+    """By time along the trajectory, not by the toi within a segment."""
+    scene, motion = scattered(24, device)
+    still = motion.position_t0 + 50.0 * torch.arange(24, device=device)[:, None]
+    position = torch.stack([still, motion.position_t0, motion.position_t1])
+    hits = pgccd.detect(scene, pgccd.Trajectory(position, motion.orientation_t0.expand(3, -1, -1)))
+    assert float(hits.earliest().time[0]) == float(hits.time.min())
+    assert torch.equal(hits.earliest(by="world").first_toi("world"), hits.first_toi("world"))
+
+
+class Foreign:
+    """An array of another library: it has the protocol of DLPack and nothing else."""
+
+    def __init__(self, values: Tensor) -> None:
+        self.values = values
+
+    def __dlpack__(self, **named: Any) -> Any:
+        return self.values.__dlpack__(**named)
+
+    def __dlpack_device__(self) -> Any:
+        return self.values.__dlpack_device__()
+
+
+class OfDevice:
+    """An array that has the interface of CUDA arrays alone."""
+
+    def __init__(self, values: Tensor) -> None:
+        self.values = values
+
+    @property
+    def __cuda_array_interface__(self) -> Any:
+        return self.values.__cuda_array_interface__
+
+
+@pytest.mark.parametrize("kind", [Foreign, OfDevice, np.asarray])
+def test_arrays_are_shared(kind: Any, device: torch.device) -> None:
+    if (kind is OfDevice) != (device.type == "cuda") and kind is not Foreign:
+        pytest.skip("the other kind of device")
+    scene, motion = scattered(12, device)
+    expected = pgccd.detect(scene, motion, "all")
+    columns = {name: kind(column) for name, column in motion.columns().items()}
+    shared = pgccd.RigidMotion.from_rotation(**columns)
+    for name, column in motion.columns().items():
+        assert getattr(shared, name).data_ptr() == column.data_ptr(), name
+    assert scene.world is not None and scene.margin is not None and scene.group is not None
+    there = pgccd.Scene(
+        scene.meshes,
+        kind(scene.mesh_index),
+        device,
+        world=kind(scene.world),
+        margin=kind(scene.margin),
+        group=kind(scene.group),
+        mask=kind(scene.mask),
+        static=scene.static.bool() if scene.static is not None else None,
+        self_collision=scene.self_collision,  # type: ignore[arg-type]
+    )
+    assert there.margin.data_ptr() == scene.margin.data_ptr()  # type: ignore[union-attr]
+    assert_same(pgccd.detect(there, shared, "all"), expected)
+    if kind is not np.asarray:
+        pairs = torch.unique(expected.pairs, dim=0)
+        found = pgccd.detect(scene, motion, pairs=kind(pairs))
+        assert torch.equal(found.pairs, pairs)
+    points = torch.randn(20, 4, 3, dtype=torch.float64, device=device)
+    one, other = (pgccd.narrow.vertex_face(make(points), make(points.flip(0))) for make in (kind, lambda x: x))
+    assert torch.equal(one.toi, other.toi)
+    mesh = pgccd.Mesh(kind(meshes()[0].vertices.to(device)), kind(meshes()[0].faces.to(device)))
+    assert torch.equal(mesh.vertices, meshes()[0].vertices)
+
+
+def test_arrays_that_cannot_be_shared_are_named() -> None:
+    class Taped(Foreign):
+        requires_grad = True
+
+    x, q = torch.zeros(2, 3), torch.eye(4)[:1].repeat(2, 1)
+    with pytest.raises(ValueError, match="^position_t0: requires grad in another library"):
+        pgccd.RigidMotion(Taped(x), q, x, q)  # type: ignore[arg-type]
+
+    class Failing(Foreign):
+        def __dlpack__(self, **named: Any) -> Any:
+            raise BufferError("it is read-only")
+
+    with pytest.raises(TypeError, match="^position_t1: torch cannot share this Failing: it is read-only"):
+        pgccd.RigidMotion(x, q, Failing(x), q)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match=r"^position_t1: expected float32 or float64, got torch.int64"):
+        pgccd.RigidMotion(x, q, np.zeros((2, 3), dtype=np.int64), q)  # type: ignore[arg-type]
+    locked = np.zeros((2, 3))
+    locked.flags.writeable = False
+    assert pgccd.RigidMotion(locked, q, x, q).body_count == 2  # type: ignore[arg-type]
