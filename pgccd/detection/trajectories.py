@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import ClassVar
 
 import torch
@@ -44,6 +45,11 @@ class TrajectoryContacts(Contacts):
     def _order(self) -> tuple[Tensor, ...]:
         return self.segment, self.toi
 
+    @property
+    def _moving_bodies(self) -> Tensor:
+        assert self.scene is not None
+        return self.pairs + self.segment[:, None] * self.scene.body_count
+
     def first_toi(self, by: By = "scene") -> Tensor:
         """The first `time` along the whole trajectory: in [0, 1], float64, inf without a contact.
 
@@ -83,20 +89,27 @@ def detect_trajectory(
     # "earliest" selects from the first contacts of all segments.
     report: narrow.Report = "first" if query.report == "earliest" else query.report
     found = detect_step(repeated(scene, segments), steps, report)
-    of_pairs = found.pairs
-    segment = torch.div(of_pairs[:, 0], max(1, count), rounding_mode="floor")
-    pairs = of_pairs - segment[:, None] * count
-    stats = replace(found.stats, bodies=count, needed=None)
     if isinstance(found, CollidingPairs):
+        stats = replace(found.stats, bodies=count, needed=None)
+        segment = torch.div(found.pairs[:, :1], max(1, count), rounding_mode="floor")
+        pairs = found.pairs - segment * count
         pairs = torch.unique(pairs, dim=0) if len(pairs) else pairs
         stats.contacts = len(pairs)
         colliding = CollidingPairs(pairs=pairs, stats=stats)
         colliding.scene = scene
         return colliding
+    return _of_trajectory(found, scene, segments, query.report)
+
+
+def _of_trajectory(found: Contacts, scene: Scene, segments: int, report: narrow.Report) -> TrajectoryContacts:
+    """Contacts along a trajectory, from those of all its segments."""
+    count = scene.body_count
+    segment = torch.div(found.pairs[:, 0], max(1, count), rounding_mode="floor")
+    pairs = found.pairs - segment[:, None] * count
     chosen: Tensor | slice = slice(None)
-    if query.report == "first":
+    if report == "first":
         chosen = _first_of_pairs(pairs, count)
-    elif query.report == "earliest" and len(pairs):
+    elif report == "earliest" and len(pairs):
         first = segment[0]  # rows are sorted by segment
         chosen = earliest_row(torch.where(segment == first, found.toi, torch.inf))
     columns = {name: column[chosen] for name, column in (found.columns | {"pairs": pairs}).items()}
@@ -104,12 +117,24 @@ def detect_trajectory(
     time = time_along(segment, columns["toi"].detach(), segments)
     if columns["toi"].requires_grad:
         time = with_gradient_of(time, columns["toi"] / segments, "time")
-    stats.contacts = len(segment)
+    stats = replace(found.stats, bodies=count, needed=None, contacts=len(segment))
     contacts = TrajectoryContacts(**columns, stats=stats, segment=segment, time=time)
     contacts.scene = scene
-    contacts._is_earliest = query.report == "earliest"
+    contacts._is_earliest = report == "earliest"
     contacts._differentiable = None if found._differentiable is None else found._differentiable[chosen]
+    if found._cause is not None:
+        contacts._cause = replace(found._cause, again=partial(_approaching, found, scene, segments))
     return contacts
+
+
+def _approaching(
+    found: Contacts, scene: Scene, segments: int, pairs: Tensor, slack: float | None
+) -> TrajectoryContacts:
+    """The first contacts that approach of some pairs (P, 2), from those of all segments, see `Cause.again`."""
+    count = scene.body_count
+    of_scene = found.pairs - torch.div(found.pairs[:, :1], max(1, count), rounding_mode="floor") * count
+    keys, wanted = (each[:, 0] * count + each[:, 1] for each in (of_scene, pairs))
+    return _of_trajectory(found[torch.isin(keys, wanted)].approaching(slack), scene, segments, "first")
 
 
 def time_along(segment: Tensor, toi: Tensor, segments: int) -> Tensor:
