@@ -172,6 +172,8 @@ def _surroundings_recede(sites: Sites, normal: Tensor, offset: Tensor, noise: Te
     attempt(normal[sets.owner])
     attempt(-normal[sets.owner])
     for direction, is_given in _directions(sites, sets):
+        if bool(certain.all()):
+            break
         for sign in (1.0, -1.0):
             attempt(sign * direction, is_given)
     return reduced(certain.double(), sets.owner, len(sites), "amin", 1.0) > 0.0
@@ -253,19 +255,73 @@ def _height(sites: Sites, side: int, offset: Tensor, normal: Tensor) -> Tensor:
 
 def _stay(sites: Sites, sets: _Sets, direction: Tensor, gap: Tensor, slack: Tensor) -> Tensor:
     """(n,) bool: sets that stay at least `gap` (n,) less `slack` (n,) apart along directions (n, 3) from toi on."""
-    one = sets.one.repeat_interleave(3, dim=1).reshape(-1)
-    other = sets.other.repeat(1, 3).reshape(-1)
-    owner = sets.owner.repeat_interleave(9)
-    lowest, error = _lowest(sites, direction.repeat_interleave(9, dim=0), owner, one, other)
-    return (lowest - error).view(-1, 9).amin(1) >= gap - slack
+    needed = gap - slack
+    turns = sites.turns[sets.owner]
+    straight, turning = torch.nonzero(~turns)[:, 0], torch.nonzero(turns)[:, 0]
+    found = torch.zeros_like(turns)
+    for rows, lowest_of in ((straight, _lowest_on_lines), (turning, _lowest_on_arcs)):
+        if len(rows):
+            lowest, error = lowest_of(sites, sets[rows], direction[rows])
+            found[rows] = lowest - error >= needed[rows]
+    return found
+
+
+def _points_along(sites: Sites, sets: _Sets, direction: Tensor) -> tuple[Tensor, Tensor, _Along, _Along]:
+    """Along directions (n, 3): the offset of the references at t = 0 and its change (n, 1), and the vertices of i and j
+    (n, 3).
+    """
+    start, change = (dot(direction, each[sets.owner])[:, None] for each in sites.travel())
+    owner, along = sets.owner.repeat_interleave(3), direction.repeat_interleave(3, dim=0)
+    a, b = (_along(sites, k, owner, (sets.one, sets.other)[k].reshape(-1), along).view(-1, 3) for k in (0, 1))
+    return start, change, a, b
+
+
+def _lowest_on_lines(sites: Sites, sets: _Sets, direction: Tensor) -> tuple[Tensor, Tensor]:
+    """How far sets stay apart at least (n,), along directions (n, 3), from toi on, and a bound of the error of that
+    (n,). No body turns: it is least at one of the ends.
+    """
+    start, change, a, b = _points_along(sites, sets, direction)
+    gaps = []
+    for time in (sites.toi[sets.owner][:, None], 1.0):
+        at_a, at_b = a.constant + a.rate * time, b.constant + b.rate * time
+        gaps.append((start + change * time)[:, 0] + (at_b.amin(1) - at_a.amax(1)))
+    size = (start.abs() + change.abs())[:, 0] + a.size.amax(1) + b.size.amax(1)
+    return torch.minimum(*gaps), _ROUNDING * size
+
+
+def _lowest_on_arcs(sites: Sites, sets: _Sets, direction: Tensor) -> tuple[Tensor, Tensor]:
+    """As `_lowest_on_lines`, of bodies that turn: in windows of time, by the chord between their ends and by the
+    tangent at their beginning.
+    """
+    start, change, a, b = _points_along(sites, sets, direction)
+    toi = sites.toi[sets.owner][:, None]
+    time = toi + (1.0 - toi) * torch.linspace(0.0, 1.0, _WINDOWS + 1, dtype=torch.float64, device=toi.device)
+    step = ((1.0 - toi) / _WINDOWS)[:, None]
+    (at_a, rate_a, turn_a), (at_b, rate_b, turn_b) = a.at(time[:, None]), b.at(time[:, None])  # (n, 3, windows + 1)
+    (low_a, high_a), (low_b, high_b) = a.curvatures(turn_a, step), b.curvatures(turn_b, step)
+    lowest = torch.full_like(start[:, 0], torch.inf)
+    for k in range(3):
+        for m in range(3):
+            gap = start + change * time + (at_b[:, m] - at_a[:, k])
+            slope = (change + rate_b[:, m] - rate_a[:, k])[:, :-1]
+            low, high = low_b[:, m] - high_a[:, k], high_b[:, m] - low_a[:, k]
+            first, last, length = gap[:, :-1], gap[:, 1:], step[:, 0]
+            chord = torch.minimum(first, last) - high.clamp(min=0.0) * length * length / 8.0
+            bottom = torch.where(low > 0.0, -slope / torch.where(low > 0.0, low, 1.0), length)
+            bottom = torch.minimum(bottom.clamp(min=0.0), length)
+            # Where the tangent's parabola is concave, its ends are lowest.
+            tangent = torch.minimum(first, first + bottom * (slope + 0.5 * low * bottom))
+            lowest = torch.minimum(lowest, torch.maximum(chord, tangent).amin(1))
+    size = (start.abs() + change.abs())[:, 0] + a.size.amax(1) + b.size.amax(1)
+    return lowest, _ROUNDING * size
 
 
 @dataclass
 class _Along:
-    """Points (m,) along directions, as constant + rate t + cosine cos(angle t) + sine sin(angle t).
+    """Points along directions, as constant + rate t + cosine cos(angle t) + sine sin(angle t).
 
     Attributes:
-        constant, rate, cosine, sine, angle: (m,).
+        constant, rate, cosine, sine, angle: (m,), or (n, 3) after `view`.
     """
 
     constant: Tensor
@@ -274,55 +330,33 @@ class _Along:
     sine: Tensor
     angle: Tensor
 
+    def view(self, *shape: int) -> _Along:
+        """The same points in another shape."""
+        columns = (self.constant, self.rate, self.cosine, self.sine, self.angle)
+        return _Along(*(column.view(*shape) for column in columns))
+
     @property
     def size(self) -> Tensor:
-        """(m,): bound of the sizes of all terms, and of their errors relative to one rounding."""
+        """Bound of the sizes of all terms, and of their errors relative to one rounding."""
         turning = (1.0 + self.angle) * (self.cosine.abs() + self.sine.abs())
         return self.constant.abs() + self.rate.abs() + turning
 
     def at(self, time: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Values, derivatives and turning parts (m, n) at times (m, n)."""
-        angle = self.angle[:, None]
+        """Values, derivatives and turning parts at times, which broadcast against (..., 1)."""
+        angle, cosine, sine = self.angle[..., None], self.cosine[..., None], self.sine[..., None]
         c, s = torch.cos(angle * time), torch.sin(angle * time)
-        turning = self.cosine[:, None] * c + self.sine[:, None] * s
-        change = angle * (self.sine[:, None] * c - self.cosine[:, None] * s)
-        return self.constant[:, None] + self.rate[:, None] * time + turning, self.rate[:, None] + change, turning
+        turning = cosine * c + sine * s
+        change = angle * (sine * c - cosine * s)
+        return self.constant[..., None] + self.rate[..., None] * time + turning, self.rate[..., None] + change, turning
 
     def curvatures(self, turning: Tensor, step: Tensor) -> tuple[Tensor, Tensor]:
-        """Bounds (m, n) of the second derivative in windows of length (m, 1), from turning parts (m, n + 1)."""
-        square = (self.angle * self.angle)[:, None]
-        radius = torch.hypot(self.cosine, self.sine)[:, None]
+        """Bounds (..., n) of the second derivative in windows of length (..., 1), from turning parts (..., n + 1)."""
+        square = (self.angle * self.angle)[..., None]
+        radius = torch.hypot(self.cosine, self.sine)[..., None]
         stray = square * radius * step * step / 8.0
-        low = torch.minimum(turning[:, :-1], turning[:, 1:]) - stray
-        high = torch.maximum(turning[:, :-1], turning[:, 1:]) + stray
+        low = torch.minimum(turning[..., :-1], turning[..., 1:]) - stray
+        high = torch.maximum(turning[..., :-1], turning[..., 1:]) + stray
         return -square * torch.minimum(high, radius), -square * torch.maximum(low, -radius)
-
-
-def _lowest(sites: Sites, direction: Tensor, owner: Tensor, one: Tensor, other: Tensor) -> tuple[Tensor, Tensor]:
-    """How far vertices of i (m,) and j (m,) at least stay apart (m,) along directions (m, 3), from the toi of contacts
-    `owner` (m,) on; and a bound of the error of that (m,).
-    """
-    travel_t0, travel = sites.travel()
-    start, change = dot(direction, travel_t0[owner]), dot(direction, travel[owner])
-    a, b = _along(sites, 0, owner, one, direction), _along(sites, 1, owner, other, direction)
-    count = _WINDOWS if bool((a.angle > 0.0).any() | (b.angle > 0.0).any()) else 1
-    toi = sites.toi[owner][:, None]
-    time = toi + (1.0 - toi) * torch.linspace(0.0, 1.0, count + 1, dtype=torch.float64, device=toi.device)
-    step = (1.0 - toi) / count
-    (at_a, rate_a, turn_a), (at_b, rate_b, turn_b) = a.at(time), b.at(time)
-    gap = (start[:, None] + change[:, None] * time) + (at_b - at_a)
-    rate = change[:, None] + rate_b - rate_a
-    (low_a, high_a), (low_b, high_b) = a.curvatures(turn_a, step), b.curvatures(turn_b, step)
-    low, high = low_b - high_a, high_b - low_a
-    # By the chord, and by the tangent at the beginning.
-    first, last, slope = gap[:, :-1], gap[:, 1:], rate[:, :-1]
-    chord = torch.minimum(first, last) - high.clamp(min=0.0) * step * step / 8.0
-    bottom = torch.where(low > 0.0, -slope / torch.where(low > 0.0, low, 1.0), step)
-    bottom = torch.minimum(bottom.clamp(min=0.0), step)
-    # Where the tangent's parabola is concave, its ends are lowest.
-    tangent = torch.minimum(first, first + bottom * (slope + 0.5 * low * bottom))
-    lowest = torch.maximum(chord, tangent).amin(1)
-    return lowest, _ROUNDING * (start.abs() + change.abs() + a.size + b.size)
 
 
 def _along(sites: Sites, side: int, owner: Tensor, vertex: Tensor, direction: Tensor) -> _Along:

@@ -109,6 +109,13 @@ class Sites:
     def incidence(self) -> Incidence:
         return self.scene.meshes._incidence
 
+    @property
+    def turns(self) -> Tensor:
+        """(K,) bool: a body of the contact turns, on an arc."""
+        if isinstance(self.motion, VertexMotion) or self.orientation_t1 is not None:
+            return torch.zeros_like(self.toi, dtype=torch.bool)
+        return (self.motion.rotation.detach()[self.bodies] != 0.0).any(2).any(1)
+
     def _orientation(self, time: Tensor) -> Tensor:
         """(K, 2, 4): unit quaternions at times (K,)."""
         assert isinstance(self.motion, RigidMotion)
