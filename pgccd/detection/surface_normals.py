@@ -35,6 +35,7 @@ class _Side:
         point: (K, 3), the nearest point, relative to the reference of the body.
         owner, face: of `Sites.faces_around` (m,).
         away: (m, 3, 3), corners of these faces, relative to the point.
+        out: (K, 3), the normal of one of these faces that points out of a closed mesh; 0 of other meshes.
     """
 
     side: int
@@ -44,21 +45,29 @@ class _Side:
     owner: Tensor
     face: Tensor
     away: Tensor
+    out: Tensor
 
     @classmethod
     def of(cls, sites: Sites, side: int) -> _Side:
         what, row = sites.supports(side)
         point = sites.nearest(side)
         owner, face = sites.faces_around(what, row)
-        side_ = cls(side, what, row, point, owner, face, face.new_empty((0, 3, 3)))
-        side_.away = side_.corners(sites, owner, face)
-        return side_
+        away = _corners(sites, side, point, owner, face)
+        place = torch.arange(len(owner), device=owner.device)
+        first = reduced(place, owner, len(sites), "amin", len(owner)).clamp(max=max(len(owner) - 1, 0))
+        out = sites.incidence.outward[sites.mesh[:, side]][:, None] * _wound(away[first])
+        return cls(side, what, row, point, owner, face, away, out)
 
-    def corners(self, sites: Sites, owner: Tensor, face: Tensor) -> Tensor:
-        """(m, 3, 3): corners of faces (m,), relative to the nearest point of contacts (m,)."""
-        vertices = sites.incidence.faces[face].reshape(-1)
-        arms = sites.arms(self.side, owner.repeat_interleave(3), vertices).view(-1, 3, 3)
-        return arms - self.point[owner][:, None]
+
+def _corners(sites: Sites, side: int, point: Tensor, owner: Tensor, face: Tensor) -> Tensor:
+    """(m, 3, 3): corners of faces (m,) of one side, relative to a point (K, 3) of contacts (m,)."""
+    vertices = sites.incidence.faces[face].reshape(-1)
+    return sites.arms(side, owner.repeat_interleave(3), vertices).view(-1, 3, 3) - point[owner][:, None]
+
+
+def _wound(corners: Tensor) -> Tensor:
+    """Unit normals (m, 3) by the order of corners (m, 3, 3); zero without an area."""
+    return unit_or_zero(cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
 
 
 def surface_normals(sites: Sites, normal: Tensor) -> Tensor:
@@ -123,7 +132,7 @@ class _Surface:
 
         def oriented(owner: Tensor, face: Tensor, corners: Tensor) -> Tensor:
             """Unit normals (m, 3) from i to j."""
-            wound = unit_or_zero(cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+            wound = _wound(corners)
             out = outside * _sign_out(sites, own, other, owner, face, wound, offset, noise, outside * normal)
             return out[:, None] * wound
 
@@ -189,7 +198,7 @@ def _convex(  # type: ignore[no-untyped-def]
     ends = sites.incidence.edges[edge]
     start, end = (sites.arms(own.side, owner, vertex) - own.point[owner] for vertex in ends.unbind(1))
     along = unit_or_zero(end - start)
-    corners = [own.corners(sites, owner, faces[:, k]) for k in (0, 1)]
+    corners = [_corners(sites, own.side, own.point, owner, faces[:, k]) for k in (0, 1)]
     apexes = []
     for k in (0, 1):
         vertices = sites.incidence.faces[faces[:, k]]
@@ -215,7 +224,8 @@ def _sign_out(
 ) -> Tensor:
     """(m,): 1 where the normals `wound` (m, 3) of faces (m,) of the surface of one side point to where the other
     surface is, -1 where they point away: by the nearest points; where they coincide by the other surface around the
-    point, if it is on one side; then by the order of corners of a closed mesh; then by the `normal` (K, 3).
+    point, if it is on one side; then by the order of corners of a closed mesh, this one or the other; then by the
+    `normal` (K, 3).
     """
     towards = offset if own.side == 0 else -offset
     height = dot(towards[owner], wound)
@@ -225,6 +235,8 @@ def _sign_out(
     sign = torch.where(sign == 0.0, is_above.double() - is_below.double(), sign)
     solid = sites.incidence.outward[sites.mesh[:, own.side]][owner]
     sign = torch.where(sign == 0.0, solid, sign)
+    facing = -dot(other.out[owner], wound)
+    sign = torch.where((sign == 0.0) & (facing.abs() > 0.5), torch.sign(facing), sign)
     sign = torch.where(sign == 0.0, torch.sign(dot(normal[owner], wound)), sign)
     return torch.where(sign == 0.0, 1.0, sign)
 
