@@ -225,14 +225,17 @@ class Sites:
 
     def offset(self) -> tuple[Tensor, Tensor]:
         """From the nearest point of i to that of j at toi (K, 3), and a length below which it may be rounding (K,)."""
-        one, other = self.nearest(0), self.nearest(1)
-        apart = other - one
-        size = norm(one) + norm(other)
+        apart = self.nearest(1) - self.nearest(0)
+        every = torch.arange(len(self), device=apart.device)
+        size = torch.zeros_like(self.toi)
+        for side in (0, 1):
+            for corner in self.corners(side).unbind(1):
+                start, end = self.ends(side, every, corner)
+                size = torch.maximum(size, norm(start) + norm(end - start))
+        between, change = self.travel()
         if isinstance(self.motion, RigidMotion):
-            between, speed = self.travel()
-            centre = between + self.toi[:, None] * speed
-            apart, size = apart + centre, size + norm(centre)
-        return apart, _NOISE * size
+            apart = apart + (between + self.toi[:, None] * change)
+        return apart, _NOISE * (size + norm(between) + norm(change))
 
     def is_reversed(self, normal: Tensor) -> Tensor:
         """(K,) bool: contacts with toi > 0 that coincide up to rounding, whose normal (K, 3), though, says that they

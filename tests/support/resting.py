@@ -22,7 +22,7 @@ _FACES = torch.tensor(
 
 def box(half: tuple[float, float, float], centre: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> pgccd.Mesh:
     """Half edges, and the centre in the coordinates of the mesh; its origin is theirs."""
-    return pgccd.Mesh(_CORNERS * torch.tensor(half) + torch.tensor(centre), _FACES)
+    return pgccd.Mesh(_CORNERS * _double(half) + _double(centre), _FACES)
 
 
 def joined(*meshes: pgccd.Mesh) -> pgccd.Mesh:
@@ -61,7 +61,7 @@ def sliding(
     turn = _matrix(torch.tensor(orientation, dtype=torch.float64))
     position = torch.zeros(len(meshes), 3, dtype=torch.float64)
     change = torch.zeros_like(position)
-    position[0], change[0] = turn @ torch.tensor(start).double(), turn @ torch.tensor(travel).double()
+    position[0], change[0] = turn @ _double(start), turn @ _double(travel)
     scene = pgccd.Scene(meshes, static=[False] + [True] * (len(meshes) - 1), device=device)
     if kind == "deforming":
         ends = [
@@ -72,6 +72,10 @@ def sliding(
     quaternions = torch.tensor([orientation] * len(meshes), dtype=torch.float64)
     columns = (x.to(device) for x in (position, quaternions, position + change, torch.zeros_like(position)))
     return scene, pgccd.RigidMotion.from_rotation(*columns, path=kind)
+
+
+def _double(values: tuple[float, ...]) -> Tensor:
+    return torch.tensor(values, dtype=torch.float64)
 
 
 def _matrix(q: Tensor) -> Tensor:
