@@ -51,32 +51,29 @@ def create_world(comm: distributed.Comm) -> distributed.World:
         id=share,
         payload={key: column[share].to(device) for key, column in columns.items()},
         comm=comm,
-        nonzero_toi=True,
     )
 
 
 # %%
-# The loop. `World.step` returns the contacts of the bodies that this rank owns, wherever their partners are. All bodies
-# of all ranks move by the same fraction of the step, just less than the first contact of all; those that would touch
-# soon turn round. `World.move` writes the new state and migrates bodies that have left this rank's part of space.
+# The loop. With ``resolve=True`` `World.step` says how far each body of this rank can move such that no two meet, wherever
+# they live; a body that would meet another stops before it, and turns round. `World.move` writes the new state and
+# migrates bodies that have left this rank's part of space.
 
 with distributed.connect(name) as comm:
     world = create_world(comm)
-    dt, time = 0.1, 0.0
     for step in range(20):
         mine = world.payload  # of the bodies that this rank owns now
         motion = pgccd.RigidMotion.from_velocity(
-            world.position, mine["orientation"], mine["velocity"], mine["spin"], dt
+            world.position, mine["orientation"], mine["velocity"], mine["spin"], dt=0.1
         )
-        first = world.first_toi(world.step(motion))
-        fraction = comm.min(torch.cat([0.9 * first, first.new_ones(1)]).amin()[None])
-        position, orientation = motion.at(fraction)
-        sign = torch.where(first < 2.0 * fraction, -1.0, 1.0)[:, None]
+        resolved = world.step(motion, resolve=True)
+        position, orientation = resolved.motion.at(1.0)  # where the bodies are after the step
+        stopped = resolved.fraction < 1.0
+        sign = torch.where(stopped, -1.0, 1.0)[:, None]
         world.move(position, orientation=orientation, velocity=sign * mine["velocity"], spin=sign * mine["spin"])
-        time += dt * float(fraction)
-        turned = int(comm.sum((sign < 0.0).sum()[None]))
+        turned = int(comm.sum(stopped.sum()[None]))
         if comm.rank == 0 and step % 5 == 4:
-            at = f"{comm.size} ranks, step {step:2d}, time {time:.6f}"
+            at = f"{comm.size} ranks, step {step:2d}, {resolved.rounds} rounds"
             print(f"{at}: {turned} bodies turn; rank 0 owns {len(world.id)}")
 
     # Every rank adds its rows to a table by id, so that all hold the positions of all bodies.

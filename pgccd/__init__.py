@@ -26,11 +26,11 @@ from pgccd.resolution.results import PaddedResolution, Resolution
 from pgccd.resolution.trajectories import TrajectoryResolution
 
 if _TYPE_CHECKING:
-    from pgccd import about, baselines, distributed, files, sim, viz
+    from pgccd import about, baselines, distributed, files, robots, sim, viz
     from pgccd.viz import show
 
 # Imported on first use: they load more modules than detection needs.
-_LATER = ("about", "baselines", "distributed", "files", "sim", "viz")
+_LATER = ("about", "baselines", "distributed", "files", "robots", "sim", "viz")
 
 __version__: str = _build_information()["version"]
 
@@ -67,6 +67,7 @@ __all__ = [
     "integrate_orientation",
     "narrow",
     "resolve",
+    "robots",
     "show",
     "sim",
     "traverse",

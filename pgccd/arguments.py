@@ -161,12 +161,12 @@ def refuse_transforms(values: Tensor, name: str) -> None:
     """
     if torch.compiler.is_compiling():
         return
-    if torch._C._functorch.is_batchedtensor(values):
-        raise TypeError(
-            f"{name}: torch.vmap is not supported: pass all samples in one call (bodies as one scene, each sample in a "
-            "`world` of its own; queries as rows)"
-        )
     if torch._C._functorch.is_functorch_wrapped_tensor(values):
+        if torch._C._functorch.is_batchedtensor(values):
+            raise TypeError(
+                f"{name}: torch.vmap is not supported: pass all samples in one call (bodies as one scene, each sample "
+                "in a `world` of its own; queries as rows)"
+            )
         raise TypeError(
             f"{name}: transforms of torch.func are not supported: use torch.autograd.grad or Tensor.backward"
         )

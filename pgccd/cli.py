@@ -21,7 +21,7 @@ from pgccd.detection.broad import BROAD_PHASES
 from pgccd.detection.narrow import REPORTS
 from pgccd.distributed.checkpoint.reading import open_stored
 from pgccd.distributed.launch.agreement import on_first, together
-from pgccd.files import load_motion, load_scene
+from pgccd.files import load_configurations, load_motion, load_scene
 from pgccd.geometry.origin import Origin
 from pgccd.runtime.memory import is_out_of_memory
 from pgccd.sim.checkpoint import Header, require_checkpoint
@@ -35,6 +35,11 @@ from pgccd.viz.animation import AnyMotion
 from pgccd.viz.display import is_page, open_page, require_writable
 
 _COMMANDS = ("view", "detect", "simulate", "info")
+# Readers of robots, by the suffix of the file.
+_ROBOTS: dict[str, Callable[[str], pgccd.robots.Robot]] = {
+    ".urdf": lambda path: pgccd.robots.load_urdf(path),
+    ".xml": lambda path: pgccd.robots.load_mjcf(path),
+}
 
 _EXAMPLES = """\
 examples:
@@ -43,6 +48,7 @@ examples:
   pgccd detect a.ply b.ply --motion poses.npz              the collisions of one step
   pgccd detect --scene scene.json --page contacts.html     and a page that shows them
   pgccd detect --scene scene.json --json                   for programs
+  pgccd detect arm.urdf table.obj --motion path.npz        a robot (URDF or MJCF) among obstacles
   pgccd simulate --robots 2000 --steps 10 --out out/try    the nanorobot model
   pgccd info robot.ply                                     version, devices; size of a mesh
 
@@ -52,14 +58,19 @@ _FILE_NOTES = """\
 poses.npz holds, for N bodies, one of these:
   position_t0 (N, 3), orientation_t0 (N, 4), position_t1 (N, 3), orientation_t1 (N, 4);
   position_t0, orientation_t0, linear_velocity (N, 3), angular_velocity (N, 3) in radians, and dt, a number;
-  a trajectory of T waypoints: position (T, N, 3), orientation (T, N, 4);
-  deforming bodies: x_t0, x_t1 (X, 3), the vertices of all bodies, or position (T, X, 3) alone.
+  a trajectory of T waypoints: position (T, N, 3), orientation (T, N, 4); optionally rotation (T - 1, N, 3), vectors;
+  deforming bodies: x_t0, x_t1 (X, 3), the vertices of all bodies, or position (T, X, 3) alone;
+  of any trajectory, optionally margin (T - 1, N).
+Of a robot, the first MESH if it ends in .urdf or .xml (MJCF), it holds q (T, J): configurations, between which joints
+move at constant rates; other MESH files are obstacles. Contacts may be due to the margins that this takes (see
+pgccd.robots.certify).
 A pose puts a point v of a mesh file at position + R (v - origin), and the body turns about its origin: that of the
 file's coordinates, unless a scene file says otherwise. Orientations are unit quaternions (w, x, y, z), body to world.
 
 scene.json: {"meshes": ["robot.ply", "rock.obj"], "mesh_index": [0, 0, 1], "poses": "poses.npz"}; paths are relative to
-it; optional: "group", "mask", "world", "static", "margin", lists with one value per body; "origin", one value per mesh:
-[x, y, z] in the file's coordinates, "centroid" (the SBV centre) or "center_of_mass"."""
+it; optional: "group", "mask", "world", "static", "margin", lists with one value per body; "exclude", pairs of bodies
+that are never tested; "origin", one value per mesh: [x, y, z] in the file's coordinates, "centroid" (the SBV centre)
+or "center_of_mass"."""
 
 
 class ArgumentError(Exception):
@@ -344,6 +355,8 @@ def _inputs(
         raise ArgumentError("--motion", "expected an npz file with the poses")
     source = "--motion" if options.scene is None else "--scene"
     try:
+        if options.meshes and Path(options.meshes[0]).suffix in _ROBOTS:
+            return *_robot(options, device), source
         if options.scene is not None:
             return *load_scene(options.scene, device), source
         scene = pgccd.Scene(_load_meshes(options.meshes, "MESH") or [], device=device)
@@ -354,6 +367,20 @@ def _inputs(
     position = torch.zeros((scene.body_count, 3), dtype=torch.float64)
     orientation = torch.tensor([[1.0, 0.0, 0.0, 0.0]], dtype=torch.float64).repeat(scene.body_count, 1)
     return scene, pgccd.RigidMotion.at_rest(position, orientation), source
+
+
+def _robot(options: argparse.Namespace, device: torch.device) -> tuple[pgccd.Scene, AnyMotion]:
+    """A robot and its obstacles, on its path through configurations; without --motion where all joints are 0."""
+    file, *others = options.meshes
+    try:
+        robot = _ROBOTS[Path(file).suffix](file)
+    except (OSError, ValueError) as error:
+        raise ArgumentError("MESH", str(error).removeprefix("path: ")) from error
+    obstacles = pgccd.robots.Obstacles(_load_meshes(others, "MESH") or []) if others else None
+    q = torch.zeros((2, robot.joint_count), dtype=torch.float64)
+    if options.motion is not None:
+        q = load_configurations(options.motion)
+    return robot.scene(obstacles).to(device), robot.trajectory(q.to(device), obstacles)
 
 
 def _write_page(

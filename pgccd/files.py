@@ -15,16 +15,17 @@ from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
 
-__all__ = ["load_motion", "load_scene"]
+__all__ = ["load_configurations", "load_motion", "load_scene"]
 
 _START = ("position_t0", "orientation_t0")
 _END = ("position_t1", "orientation_t1")
 _VELOCITY = ("linear_velocity", "angular_velocity", "dt")
 _VERTICES = ("x_t0", "x_t1")
-_WAYPOINTS = ("position", "orientation")
+_WAYPOINTS = ("position", "orientation", "rotation", "margin")
 # The keys of each kind of motion: required ones, then others.
 _KINDS = ((_VERTICES, ()), (_WAYPOINTS[:1], _WAYPOINTS[1:]), (_START, (*_END, *_VELOCITY)))
 _SCENE = ("meshes", "mesh_index", "poses")
+_OPTIONAL = (*OPTIONAL_COLUMNS, "exclude")
 
 
 def load_motion(
@@ -37,9 +38,9 @@ def load_motion(
     * position_t0 (N, 3) and orientation_t0 (N, 4), and either position_t1 and orientation_t1, or linear_velocity
       (N, 3), angular_velocity (N, 3) in radians, and dt: a `RigidMotion`. Positions are those of the meshes' origins,
       orientations unit quaternions (w, x, y, z), body to world.
-    * position (T, N, 3) and orientation (T, N, 4): a `Trajectory` of rigid bodies.
+    * position (T, N, 3) and orientation (T, N, 4): a `Trajectory` of rigid bodies; optionally rotation (T - 1, N, 3).
     * x_t0 and x_t1 (X, 3), vertices of all bodies: a `VertexMotion`; or position (T, X, 3) alone: a `Trajectory` of
-      deforming bodies.
+      deforming bodies. With either, optionally margin (T - 1, N).
 
     Args:
         path: of the file.
@@ -54,11 +55,7 @@ def load_motion(
         >>> motion = pgccd.files.load_motion("poses.npz")
     """
     path, device = arguments.path(path, "path"), arguments.device(device)
-    try:
-        with np.load(path) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-    except Exception as error:
-        raise ValueError(f"{path} cannot be read as an npz file: {error}") from error
+    arrays = _arrays(path)
     _require_known(path, arrays, (*_START, *_END, *_VELOCITY, *_VERTICES, *_WAYPOINTS))
     required, others = next((kind for kind in _KINDS if any(name in arrays for name in kind[0])), _KINDS[-1])
     for name in arrays:
@@ -72,7 +69,8 @@ def load_motion(
         if required == _VERTICES:
             return VertexMotion(columns["x_t0"], columns["x_t1"])
         if required == _WAYPOINTS[:1]:
-            return Trajectory(columns["position"], columns.get("orientation"))
+            rotation, margin = columns.get("rotation"), columns.get("margin")
+            return Trajectory(columns["position"], columns.get("orientation"), rotation=rotation, margin=margin)
     except (TypeError, ValueError, RuntimeError) as error:
         raise ValueError(f"{path}: {error}") from error
     by_velocity = any(name in columns for name in _VELOCITY)
@@ -94,14 +92,39 @@ def load_motion(
         raise ValueError(f"{path}: {error}") from error
 
 
+def load_configurations(path: str | PathLike[str]) -> torch.Tensor:
+    """Configurations of a robot, (T, J) float64, from an npz file that holds them as q.
+
+    Args:
+        path: of the file.
+
+    Raises:
+        ValueError: the file cannot be read, or holds something else.
+
+    Example:
+        >>> np.savez("path.npz", q=np.zeros((2, 6)))
+        >>> pgccd.files.load_configurations("path.npz").shape
+        torch.Size([2, 6])
+    """
+    path = arguments.path(path, "path")
+    arrays = _arrays(path)
+    if set(arrays) != {"q"}:
+        raise ValueError(f"{path}: expected q (T, J), got {', '.join(sorted(arrays)) or 'nothing'}")
+    q = _as_column(path, "q", arrays["q"])
+    if q.dim() != 2:
+        raise ValueError(f"{path}: q: expected shape (T, J), got {tuple(q.shape)}")
+    return q
+
+
 def load_scene(
     path: str | PathLike[str], device: torch.device | str = "cpu"
 ) -> tuple[Scene, RigidMotion | VertexMotion | Trajectory]:
     """A scene and its motion from a JSON file.
 
     The file holds {"meshes": [files], "mesh_index": [numbers], "poses": npz file as for `load_motion`}, paths relative
-    to it; and optionally "group", "mask", "world", "static" and "margin", lists with one value per body, and "origin",
-    a list with one value per mesh: a point [x, y, z] or a name, as for `Mesh`.
+    to it; and optionally "group", "mask", "world", "static" and "margin", lists with one value per body; "exclude", a
+    list of pairs of bodies that are never tested; and "origin", a list with one value per mesh: a point [x, y, z] or a
+    name, as for `Mesh`.
 
     Args:
         path: of the file.
@@ -120,7 +143,7 @@ def load_scene(
         raise ValueError(f"{path} cannot be read as JSON: {error}") from error
     if not isinstance(content, dict):
         raise ValueError(f"{path}: expected an object with {', '.join(_SCENE)}, got {type(content).__name__}")
-    _require_known(path, content, (*_SCENE, *OPTIONAL_COLUMNS, "origin"))
+    _require_known(path, content, (*_SCENE, *_OPTIONAL, "origin"))
     for key in _SCENE:
         if key not in content:
             raise ValueError(f"{path} has no {key!r}")
@@ -129,7 +152,7 @@ def load_scene(
         raise ValueError(f"{path}: meshes: expected a list of file names, got {names!r}")
     if not isinstance(content["poses"], str):
         raise ValueError(f"{path}: poses: expected the name of an npz file, got {content['poses']!r}")
-    optional = {key: content[key] for key in OPTIONAL_COLUMNS if key in content}
+    optional = {key: content[key] for key in _OPTIONAL if key in content}
     origins = content.get("origin", [(0.0, 0.0, 0.0)] * len(names))
     if not isinstance(origins, list) or len(origins) != len(names):
         raise ValueError(f"{path}: origin: expected a list of {len(names)} values, one a mesh, got {origins!r}")
@@ -139,6 +162,15 @@ def load_scene(
     except (OSError, TypeError, ValueError) as error:
         raise ValueError(f"{path}: {error}") from error
     return scene, load_motion(path.parent / content["poses"], device)
+
+
+def _arrays(path: str | PathLike[str]) -> dict[str, np.ndarray]:
+    """All arrays of an npz file."""
+    try:
+        with np.load(path) as archive:
+            return {name: archive[name] for name in archive.files}
+    except Exception as error:
+        raise ValueError(f"{path} cannot be read as an npz file: {error}") from error
 
 
 def _require_known(path: str | PathLike[str], given: Iterable[str], known: Sequence[str]) -> None:

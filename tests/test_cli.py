@@ -377,3 +377,29 @@ def test_unknown_keys_of_files_are_named(tmp_path: Path, meshes: list[str], pose
         load_motion(linear_velocity=columns["position_t0"])
     with pytest.raises(ValueError, match="moved.npz: position_t0: expected numbers, got complex128"):
         load_motion(position_t0=1j * columns["position_t0"])
+
+
+def test_robots(tmp_path: Path, capsys: pytest.CaptureFixture[str], meshes: list[str]) -> None:
+    pytest.importorskip("yourdfpy")
+    box = '<collision><origin xyz="1 0 0"/><geometry><box size="1.6 0.1 0.1"/></geometry></collision>'
+    joint = '<joint name="j" type="continuous"><parent link="base"/><child link="rod"/><axis xyz="0 0 1"/></joint>'
+    robot = tmp_path / "rod.urdf"
+    robot.write_text(f'<robot name="rod"><link name="base"/><link name="rod">{box}</link>{joint}</robot>')
+    page = str(tmp_path / "robot.html")
+    assert main(["view", str(robot), "--page", page]) == 0
+    assert capsys.readouterr().out.strip() == f"bodies=1 page={page}"
+    path = str(tmp_path / "path.npz")
+    np.savez(path, q=np.linspace(-0.5, 0.5, 9)[:, None])
+    assert main(["detect", str(robot), meshes[0], "--motion", path, "--json", "--page", page]) == 0
+    contacts = json.loads(capsys.readouterr().out)["contacts"]
+    assert len(contacts) == 1 and contacts[0]["pair"] == [0, 1] and 0.25 < contacts[0]["time"] < 0.26
+    assert Path(page).stat().st_size > 10_000
+    np.savez(path, q=np.zeros((3, 2)))
+    assert main(["detect", str(robot), "--motion", path]) == 2
+    assert "argument --motion: q: expected shape (..., 1), got (3, 2)" in capsys.readouterr().err
+    np.savez(path, position=np.zeros((3, 2)))
+    assert main(["detect", str(robot), "--motion", path]) == 2
+    assert "expected q (T, J), got position" in capsys.readouterr().err
+    robot.write_text("<robot")
+    assert main(["view", str(robot)]) == 2
+    assert "argument MESH: " in capsys.readouterr().err

@@ -42,6 +42,15 @@ NOT_ALONE = (
     "pgccd.viz.live_view",
 )
 
+# Two links on two joints.
+_LINK = """<link name="{0}"><collision><origin xyz="0.5 0 0"/><geometry><box size="0.8 0.1 0.1"/></geometry></collision>
+</link><joint name="{1}" type="continuous"><parent link="{2}"/><child link="{0}"/><origin xyz="{3} 0 0"/>
+<axis xyz="0 0 1"/></joint>"""
+ARM = f"""<robot name="arm"><link name="base"/>{_LINK.format("upper", "shoulder", "base", 0)}
+{_LINK.format("tool", "elbow", "upper", 1)}</robot>"""
+MJCF = """<mujoco><worldbody><body name="upper"><joint axis="0 0 1"/><geom type="box" size="0.4 0.1 0.1"/><body
+name="lower" pos="1 0 0"><joint axis="0 0 1"/><geom type="sphere" size="0.1"/></body></body></worldbody></mujoco>"""
+
 
 def modules() -> Iterator[str]:
     for module in pkgutil.walk_packages(pgccd.__path__, "pgccd."):
@@ -108,7 +117,12 @@ def namespace(module: str) -> dict[str, Any]:
         names |= of_robots()
     if module.startswith("pgccd.viz"):
         names |= two_bodies()
-    if module in ("pgccd.distributed.world.world", "pgccd.distributed.world.captured"):
+    if module.startswith("pgccd.robots"):
+        pytest.importorskip("yourdfpy")
+        pytest.importorskip("mujoco")
+        names["robot"] = pgccd.robots.load_urdf("arm.urdf")
+        names["obstacles"] = pgccd.robots.Obstacles([names["mesh"]], torch.tensor([[3.0, 3.0, 3.0]]))
+    if module.startswith("pgccd.distributed.world."):
         names |= two_bodies() | {"comm": distributed.Alone()}
         payload = {"velocity": names["v"]}
         if module == "pgccd.distributed.world.captured":
@@ -135,6 +149,8 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     np.savez(tmp_path / "poses.npz", **{name: names[short].numpy() for name, short in poses.items()})
     scene = {"meshes": ["rock.ply"], "mesh_index": [0, 0], "poses": "poses.npz"}
     (tmp_path / "scene.json").write_text(json.dumps(scene))
+    (tmp_path / "arm.urdf").write_text(ARM)
+    (tmp_path / "arm.xml").write_text(MJCF)
     sim.run(sim.ModelConfig(robots=20), 1, tmp_path / "out" / "try")
     monkeypatch.chdir(tmp_path)
     return tmp_path
@@ -198,7 +214,7 @@ def test_attributes_are_in_the_help() -> None:
 
 def public_classes() -> list[type]:
     """The classes that the packages for simulations, ranks and pictures make public."""
-    packages = (distributed, sim, sim.distributed, pgccd.viz)
+    packages = (distributed, pgccd.robots, sim, sim.distributed, pgccd.viz)
     classes = {getattr(package, name) for package in packages for name in package.__all__}
     return sorted((each for each in classes if inspect.isclass(each)), key=lambda each: each.__qualname__)
 

@@ -14,6 +14,7 @@ from support.documents import (
     PAGES,
     ROOT,
     blocks,
+    check_convex,
     check_loop,
     run_document,
     steps_recorded,
@@ -39,6 +40,8 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("name", DOCUMENTS)
 def test_documents(name: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    if any("load_urdf(" in block for block in blocks(DOCUMENTS[name])):
+        pytest.importorskip("yourdfpy")
     monkeypatch.setattr(sys, "argv", [str(DOCUMENTS[name])])
     with steps_recorded() as steps:
         names = run_document(DOCUMENTS[name])
@@ -48,10 +51,12 @@ def test_documents(name: str, capsys: pytest.CaptureFixture[str], monkeypatch: p
     )
     if name in LOOPS:
         check_loop(name, steps, names)
+    if name == "08_impulses.py":
+        assert check_convex(steps[:20], names) > 1_000
 
 
 @pytest.mark.cuda
-@pytest.mark.parametrize("name", [name for name in (*LOOPS, *CHECKED_BY_THEMSELVES) if name.endswith(".py")])
+@pytest.mark.parametrize("name", sorted(name for name in (*LOOPS, *CHECKED_BY_THEMSELVES) if name.endswith(".py")))
 def test_examples_on_a_gpu(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "argv", [name, "cuda"])
     with steps_recorded() as steps:

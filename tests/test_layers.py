@@ -148,7 +148,8 @@ def test_trimesh_is_imported_lazily_and_in_one_place() -> None:
 def test_single_device_modules_do_not_know_the_cluster() -> None:
     upper = ("pgccd.distributed", "pgccd.sim", "pgccd.baselines", "pgccd.viz", "pgccd.cli")
     lower = (
-        PACKAGE / folder for folder in ("geometry", "motion", "detection", "resolution", "ops", "runtime", "checkpoint")
+        PACKAGE / folder
+        for folder in ("geometry", "motion", "detection", "resolution", "robots", "ops", "runtime", "checkpoint")
     )
     wrong = [
         (path.name, name)
@@ -169,6 +170,7 @@ def test_packages_import_only_those_below() -> None:
         "motion": {"geometry"},
         "detection": {"geometry", "motion", "runtime"},
         "resolution": {"geometry", "motion", "detection", "runtime"},
+        "robots": {"geometry", "motion", "detection"},
     }
     rooms = {f"pgccd.{name}" for name in may_import}
     for name, below in may_import.items():

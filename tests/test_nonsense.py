@@ -107,6 +107,8 @@ def calls(folder: Path) -> dict[str, Call]:
         **options,
         **initial,
     }
+    added = {name: all_worlds[name] for name in ("position", "mesh_index", *filters, "margin", "self_collision")}
+    added |= {"id": torch.arange(2, 4), "payload": {"v": torch.ones(2, 3)}, "vertex_payload": {}}
     all_worlds |= {"report": "first", "broad_phase": "auto", "path": "rigid", "axes": 3, "cells": 16, "overlap": True}
     return {
         "Mesh": Call(
@@ -120,7 +122,8 @@ def calls(folder: Path) -> dict[str, Call]:
         "MeshSet": Call(pgccd.MeshSet, {"meshes": [mesh], "device": "cpu"}),
         "Scene": Call(
             pgccd.Scene,
-            {"meshes": [mesh], "mesh_index": [0, 0], "device": "cpu", **filters, "self_collision": True, "margin": 0.1},
+            {"meshes": [mesh], "mesh_index": [0, 0], "device": "cpu", **filters, "self_collision": True, "margin": 0.1}
+            | {"exclude": [[0, 1]]},
             {"mesh_index": ("group",)},
         ),
         "Scene.to": Call(scene.to, {"device": "cpu"}),
@@ -143,6 +146,19 @@ def calls(folder: Path) -> dict[str, Call]:
         "RigidMotion.to": Call(motion.to, {"device": "cpu"}),
         "VertexMotion": Call(
             pgccd.VertexMotion, {"x_t0": torch.ones(5, 3), "x_t1": torch.ones(5, 3)}, {"x_t0": ("x_t1",)}
+        ),
+        "Trajectory": Call(
+            pgccd.Trajectory,
+            {"position": torch.stack([motion.position_t0] * 2), "orientation": motion.orientation_t0, "path": "rigid"}
+            | {"rotation": motion.rotation[None], "margin": torch.zeros(1, 2)},
+            {"position": ("rotation", "orientation"), "orientation": ("rotation",), "rotation": ("orientation",)},
+        ),
+        "Trajectory.from_velocity": Call(
+            pgccd.Trajectory.from_velocity,
+            spins
+            | {"linear_velocity": torch.ones(1, 2, 3), "angular_velocity": torch.ones(1, 2, 3), "dt": 1.0}
+            | {"path": "rigid", "margin": torch.zeros(1, 2)},
+            {"position": ("orientation",)},
         ),
         "MovingBodies.of": Call(pgccd.MovingBodies.of, {"scene": scene, "motion": motion}),
         "BufferSizes": Call(
@@ -194,8 +210,22 @@ def calls(folder: Path) -> dict[str, Call]:
             distributed.World.create, all_worlds, {"position": ("mesh_index", "group", "id"), "mesh_index": ("group",)}
         ),
         "distributed.World.step": Call(
-            world.step, {"motion": motion, "resolve": True, "movable": [True, False]}, {"resolve": ("movable",)}
+            world.step,
+            {"motion": motion, "payload": ("v", "position"), "resolve": True, "movable": [True, False]},
+            {"resolve": ("movable",)},
         ),
+        "distributed.World.rows_of": Call(world.rows_of, {"ids": pairs}),
+        "distributed.World.sum_per_body": Call(
+            world.sum_per_body, {"hits": hits, "values": torch.ones(len(hits), 2)}, {"hits": ("values",)}
+        ),
+        # The ids have been used after the first call.
+        "distributed.World.add": Call(
+            world.add,
+            added,
+            dict.fromkeys(added, ("id",))
+            | {"position": ("id", "mesh_index", "group", "payload"), "mesh_index": ("id", "group")},
+        ),
+        "distributed.World.remove": Call(world.remove, {"ids": torch.tensor([1])}),
         "distributed.World.move": Call(world.move, {"position": motion.position_t0, "v": torch.ones(2, 3)}),
         "distributed.World.save": Call(world.save, {"folder": folder / "saved", "keep": 2}),
         "distributed.World.load": Call(

@@ -21,9 +21,9 @@ def test_importing_brings_no_more_than_detection_needs() -> None:
     program = """
 import sys, json, pgccd
 large = ("trimesh", "matplotlib", "rich", "scipy", "mpi4py")
-later = ("pgccd.sim", "pgccd.viz", "pgccd.distributed", "pgccd.files", "pgccd.about")
+later = ("pgccd.sim", "pgccd.viz", "pgccd.distributed", "pgccd.files", "pgccd.about", "pgccd.robots")
 before = sorted(name for name in sys.modules if name.split(".")[0] in large or name.startswith(later))
-seen = [name for name in dir(pgccd) if name in ("about", "distributed", "files", "sim", "viz")]
+seen = [name for name in dir(pgccd) if name in ("about", "distributed", "files", "robots", "sim", "viz")]
 used = [pgccd.about, pgccd.distributed.World, pgccd.files.load_motion, pgccd.sim.run]
 try:
     pgccd.simulation
@@ -33,7 +33,7 @@ except AttributeError as error:
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
-    later = ["about", "distributed", "files", "sim", "viz"]
+    later = ["about", "distributed", "files", "robots", "sim", "viz"]
     assert json.loads(done.stdout) == [[], later, "module 'pgccd' has no attribute 'simulation'"]
 
 
@@ -51,7 +51,7 @@ def test_type_checkers_see_what_is_imported_later() -> None:
 def test_public_modules_show_what_is_public() -> None:
     assert sorted([*pgccd.__all__, "__version__"]) == dir(pgccd)
     modules = [value for name in pgccd.__all__ if isinstance(value := getattr(pgccd, name), ModuleType)]
-    assert len(modules) == 9
+    assert len(modules) == 10
     for module in (*modules, pgccd.sim.distributed):
         assert dir(module) == sorted(module.__all__) and all(hasattr(module, name) for name in module.__all__)
 

@@ -10,11 +10,11 @@ from typing import Any
 import pytest
 
 import pgccd
-from pgccd import about, baselines, broad, distributed, files, narrow, sim, traverse, viz
+from pgccd import about, baselines, broad, distributed, files, narrow, robots, sim, traverse, viz
 
-PACKAGES = (pgccd, about, baselines, broad, distributed, files, narrow, sim, sim.distributed, traverse, viz)
+PACKAGES = (pgccd, about, baselines, broad, distributed, files, narrow, robots, sim, sim.distributed, traverse, viz)
 # What users call with values of their own: their errors are documented.
-WITH_ERRORS = (pgccd, broad, files, narrow, traverse)
+WITH_ERRORS = (pgccd, broad, files, narrow, robots, traverse)
 SHAPE = re.compile(r"\((?:\.\.\., |)[A-Za-z0-9_+\-−×* ]+,[^)]*\)|same shape|every column")
 
 

@@ -5,8 +5,6 @@
 // in the convex hull of all differences of two corners, at both ends; each direction is that of the current point.
 #pragma once
 
-#include <bit>
-
 #include "core/feature_pair.h"
 #include "core/lanes.h"
 #include "core/rounding.h"
@@ -37,20 +35,42 @@ PGCCD_HD T sum_of_coordinates(const FeaturePair<T>& p) {
 template <class T>
 struct Gaps {
   T ahead, behind;  // minimum of direction . (second - first) over all pairs of corners, and of the reverse
+
+#if !defined(__CUDACC__)
+  friend Gaps select(Mask8 mask, const Gaps& a, const Gaps& b) {
+    return {mask ? a.ahead : b.ahead, mask ? a.behind : b.behind};
+  }
+#endif
 };
 
-template <class T>
-PGCCD_HD Gaps<T> gaps(const FeaturePair<T>& p, Vec3<T> direction, bool is_edge_edge) {
+// Calls use(whether it is an edge-edge pair) for one pair, or for lanes of one kind; for lanes of both, it takes each
+// lane from the result for its kind.
+template <class Use>
+PGCCD_HD auto by_kind(bool is_edge_edge, const Use& use) {
+  return is_edge_edge ? use(true) : use(false);
+}
+#if !defined(__CUDACC__)
+template <class Use>
+PGCCD_HD auto by_kind(Mask8 is_edge_edge, const Use& use) {
+  return select(is_edge_edge, use(true), use(false));
+}
+#endif
+
+template <class T, class Kind>
+PGCCD_HD Gaps<T> gaps(const FeaturePair<T>& p, Vec3<T> direction, Kind is_edge_edge) {
   const T zero{};
   const T r = dot(direction, p.r), a = dot(direction, p.a), b = dot(direction, p.b);
-  if (is_edge_edge) return {r + (smaller(-a, zero) + smaller(b, zero)), -(r + (larger(-a, zero) + larger(b, zero)))};
-  return {r + smaller(smaller(a, b), zero), -(r + larger(larger(a, b), zero))};
+  return by_kind(is_edge_edge, [&](bool is_so) -> Gaps<T> {
+    if (is_so) return {r + (smaller(-a, zero) + smaller(b, zero)), -(r + (larger(-a, zero) + larger(b, zero)))};
+    return {r + smaller(smaller(a, b), zero), -(r + larger(larger(a, b), zero))};
+  });
 }
 
 // Vector from the midpoint of the first primitive to that of the second, times 2 or 3.
-template <class T>
-PGCCD_HD Vec3<T> between_middles(const FeaturePair<T>& p, bool is_edge_edge) {
-  return is_edge_edge ? 2.0f * p.r + (p.b - p.a) : 3.0f * p.r + (p.a + p.b);
+template <class T, class Kind>
+PGCCD_HD Vec3<T> between_middles(const FeaturePair<T>& p, Kind is_edge_edge) {
+  return by_kind(is_edge_edge,
+                 [&](bool is_so) -> Vec3<T> { return is_so ? 2.0f * p.r + (p.b - p.a) : 3.0f * p.r + (p.a + p.b); });
 }
 
 template <class T>
@@ -73,63 +93,52 @@ struct Limits {
   PGCCD_HD auto in_range() const { return (extent > 0x1p-40f) & (extent < 0x1p40f) & (sum == sum); }
 };
 
+template <class T>
 struct LeastDifference {
-  float along;
-  Vec3<float> difference;
+  T along;
+  Vec3<T> difference;
 };
 
-// Differences of two corners, four at the start and four at the end; on the host in the lanes of a vector.
+// Differences of two corners, four at the start and four at the end.
+template <class T>
 class CornerDifferences {
  public:
-  PGCCD_HD CornerDifferences(const FeaturePair<float>& start, const FeaturePair<float>& end, bool is_edge_edge) {
+  template <class Kind>
+  PGCCD_HD CornerDifferences(const FeaturePair<T>& start, const FeaturePair<T>& end, Kind is_edge_edge) {
     for (int at_end = 0; at_end < 2; ++at_end) {
-      const FeaturePair<float>& p = at_end == 0 ? start : end;
-      const Vec3<float> with_b = p.r + p.b;
-      set(4 * at_end, p.r);
-      set(4 * at_end + 1, with_b);
-      set(4 * at_end + 2, is_edge_edge ? p.r - p.a : p.r + p.a);
-      set(4 * at_end + 3, is_edge_edge ? with_b - p.a : with_b);
+      const FeaturePair<T>& p = at_end == 0 ? start : end;
+      Vec3<T>* const four = all_ + 4 * at_end;
+      const Vec3<T> with_b = p.r + p.b;
+      four[0] = p.r;
+      four[1] = with_b;
+      four[2] = by_kind(is_edge_edge, [&](bool is_so) { return is_so ? p.r - p.a : p.r + p.a; });
+      four[3] = by_kind(is_edge_edge, [&](bool is_so) { return is_so ? with_b - p.a : with_b; });
     }
   }
 
   // The least difference along a direction; ties are broken by the first.
-  PGCCD_HD LeastDifference least_along(Vec3<float> direction) const {
-#if defined(__CUDACC__)
-    LeastDifference least{dot(direction, all_[0]), all_[0]};
+  PGCCD_HD LeastDifference<T> least_along(Vec3<T> direction) const {
+    LeastDifference<T> least{dot(direction, all_[0]), all_[0]};
     PGCCD_UNROLL
     for (int k = 1; k < 8; ++k) {
-      const float along = dot(direction, all_[k]);
-      if (along < least.along) least = {along, all_[k]};
+      const T along = dot(direction, all_[k]);
+      const auto is_less = along < least.along;
+      least = {select(is_less, along, least.along), select(is_less, all_[k], least.difference)};
     }
     return least;
-#else
-    const Float8 along = dot(broadcast(direction), all_), beyond = -along;
-    const float most = largest_lane(beyond);
-    const int lane = std::countr_zero(lane_bits(beyond == most)) & (kLanes - 1);
-    return {-most, {all_.x[lane], all_.y[lane], all_.z[lane]}};
-#endif
   }
 
  private:
-#if defined(__CUDACC__)
-  PGCCD_HD void set(int k, Vec3<float> v) { all_[k] = v; }
-  Vec3<float> all_[8];
-#else
-  void set(int k, Vec3<float> v) {
-    all_.x[k] = v.x;
-    all_.y[k] = v.y;
-    all_.z[k] = v.z;
-  }
-  Vec3<Float8> all_;
-#endif
+  Vec3<T> all_[8];
 };
 
 }  // namespace fixed_directions_detail
 
-// True if the primitives certainly stay further apart than `distance`; T is float or lanes of it. The gap along a fixed
-// direction is concave in time, so it suffices to test both ends of the step.
-template <class T>
-PGCCD_HD auto stays_apart(const FeaturePair<T>& start, const FeaturePair<T>& end, float distance, bool is_edge_edge) {
+// Where the primitives certainly stay further apart than `distance`; T is float or lanes of it. `out` where the answer
+// is not needed. The gap along a fixed direction is concave in time, so it suffices to test both ends of the step.
+template <class T, class Kind, class Mask>
+PGCCD_HD Mask stays_apart(const FeaturePair<T>& start, const FeaturePair<T>& end, float distance, Kind is_edge_edge,
+                          Mask out) {
   using namespace fixed_directions_detail;
   const Limits<T> limits(start, end, distance);
   const auto separates = [&](Vec3<T> direction) {
@@ -155,31 +164,32 @@ PGCCD_HD auto stays_apart(const FeaturePair<T>& start, const FeaturePair<T>& end
         return middles_end;
     }
   };
-  auto free = separates(direction(0));
+  out = out | separates(direction(0));
   PGCCD_KEEP_LOOP
-  for (int k = 1; k < 5 && !all_lanes(free); ++k) free = free | separates(direction(k));
-  return free;
+  for (int k = 1; k < 5 && !all_lanes(out); ++k) out = out | separates(direction(k));
+  return out;
 }
 
-// The same test for one pair, by the search described above. It rejects more pairs than the fixed directions, and is
-// slower.
-PGCCD_HD bool stays_apart_stepwise(const FeaturePair<float>& start, const FeaturePair<float>& end, float distance,
-                                   bool is_edge_edge) {
+// The same by the search described above. It rejects more pairs than the fixed directions, and is slower.
+template <class T, class Kind, class Mask>
+PGCCD_HD Mask stays_apart_stepwise(const FeaturePair<T>& start, const FeaturePair<T>& end, float distance,
+                                   Kind is_edge_edge, Mask out) {
   using namespace fixed_directions_detail;
-  const Limits<float> limits(start, end, distance);
-  if (!limits.in_range()) return false;
-  const CornerDifferences differences(start, end, is_edge_edge);
-  Vec3<float> reached = (is_edge_edge ? 0.25f : 1.0f / 6.0f) *
-                        (between_middles(start, is_edge_edge) + between_middles(end, is_edge_edge));
+  const Limits<T> limits(start, end, distance);
+  const auto in_range = limits.in_range();
+  if (!any_lane(in_range)) return out;
+  const CornerDifferences<T> differences(start, end, is_edge_edge);
+  const auto part = by_kind(is_edge_edge, [](bool is_so) { return T{} + (is_so ? 0.25f : 1.0f / 6.0f); });
+  Vec3<T> reached = part * (between_middles(start, is_edge_edge) + between_middles(end, is_edge_edge));
   PGCCD_KEEP_LOOP
-  for (int step = 0; step < kDirectionSteps; ++step) {
-    const LeastDifference least = differences.least_along(reached);
-    const float length_squared = norm_squared(reached);
-    if ((length_squared > 1e-24f) & (least.along > square_root(length_squared) * limits.apart)) return true;
-    const Vec3<float> change = least.difference - reached;
+  for (int step = 0; step < kDirectionSteps && !all_lanes(out); ++step) {
+    const LeastDifference<T> least = differences.least_along(reached);
+    const T length_squared = norm_squared(reached);
+    out = out | (in_range & (length_squared > 1e-24f) & (least.along > square_root(length_squared) * limits.apart));
+    const Vec3<T> change = least.difference - reached;
     reached = reached + unit_clamp(-dot(reached, change) / norm_squared(change)) * change;
   }
-  return false;
+  return out;
 }
 
 }  // namespace pgccd

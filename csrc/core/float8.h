@@ -26,6 +26,8 @@ inline Float8 multiply_add(Float8 a, Float8 b, Float8 c) {
 }
 inline Float8 multiply_add(float a, Float8 b, Float8 c) { return multiply_add(a - Float8{}, b, c); }
 
+inline Float8 unit_clamp(Float8 x) { return smaller(larger(x, Float8{}), Float8{} + 1.0f); }
+
 inline Float8 square_root(Float8 x) {
   Float8 out;
   for (int lane = 0; lane < kLanes; ++lane) out[lane] = std::sqrt(x[lane]);

@@ -10,6 +10,12 @@ namespace pgccd {
 PGCCD_HD bool all_lanes(bool mask) { return mask; }
 PGCCD_HD bool any_lane(bool mask) { return mask; }
 
+// `a` where the mask is set, else `b`.
+template <class T>
+PGCCD_HD T select(bool mask, const T& a, const T& b) {
+  return mask ? a : b;
+}
+
 // The same vector in each lane of the second argument's type.
 PGCCD_HD Vec3<float> in_all_lanes(Vec3<float> v, float) { return v; }
 
@@ -45,6 +51,15 @@ inline uint32_t lane_bits(Mask8 mask) {
   for (int lane = 0; lane < kLanes; ++lane) bits |= static_cast<uint32_t>(mask[lane] & 1) << lane;
   return bits;
 #endif
+}
+// A mask of the lanes whose bits are not set.
+inline Mask8 lanes_without(uint32_t bits) {
+  const Mask8 bit{1, 2, 4, 8, 16, 32, 64, 128};
+  return (bit & (static_cast<int32_t>(bits) - Mask8{})) == 0;
+}
+inline Float8 select(Mask8 mask, Float8 a, Float8 b) { return mask ? a : b; }
+inline Vec3<Float8> select(Mask8 mask, const Vec3<Float8>& a, const Vec3<Float8>& b) {
+  return {mask ? a.x : b.x, mask ? a.y : b.y, mask ? a.z : b.z};
 }
 inline Mask8 lane_numbers(Float8) { return Mask8{0, 1, 2, 3, 4, 5, 6, 7}; }
 inline Mask8 to_integer(Float8 x) { return __builtin_convertvector(x, Mask8); }

@@ -1,17 +1,19 @@
 // Macros for code compiled by both the host compiler and nvcc.
 #pragma once
 
-// PGCCD_HD: inlined. PGCCD_HD_LANES: by the host compiler too, where a loop over lanes or a vector's code depends on
-// it, whatever else calls it. PGCCD_HD_RARE: not inlined, for large, rarely executed templates. PGCCD_TARGET: by nvcc
-// for devices only, for templates that call device functions there.
+// PGCCD_HD: inlined; by the host compiler too, whatever else calls it, in source files that define PGCCD_INLINE_ALL
+// because their vector code depends on it. PGCCD_HD_RARE: not inlined, for large, rarely executed templates.
+// PGCCD_TARGET: by nvcc for devices only, for templates that call device functions there.
 #if defined(__CUDACC__)
 #define PGCCD_HD __host__ __device__ __forceinline__
-#define PGCCD_HD_LANES PGCCD_HD
 #define PGCCD_HD_RARE __host__ __device__ __noinline__
 #define PGCCD_TARGET __device__ __forceinline__
 #else
+#if defined(PGCCD_INLINE_ALL)
+#define PGCCD_HD [[gnu::always_inline]] inline
+#else
 #define PGCCD_HD inline
-#define PGCCD_HD_LANES [[gnu::always_inline]] inline
+#endif
 #define PGCCD_HD_RARE [[gnu::noinline]]
 #define PGCCD_TARGET inline
 #endif

@@ -2,10 +2,12 @@
 
 import hashlib
 import json
+import math
 import os
 import re
 import secrets
 import shutil
+import tempfile
 import time
 import warnings
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -29,7 +31,8 @@ POINTER = "newest.json"
 FORMAT = 3
 INDEX = "index.json"
 SHARED = "shared.safetensors"
-#: Pattern of the names of checkpoint folders.
+#: Pattern of the names of checkpoint folders, which begin with a number of steps below `MOST_STEPS`.
+MOST_STEPS = 10**12
 NAME = re.compile(r"step-\d{9,12}-[0-9a-f]{8}")
 #: Dtypes supported by safetensors, by their names in an index.
 DTYPES = {
@@ -47,8 +50,9 @@ Columns = Mapping[str, Tensor]
 _UNFINISHED_POINTER = ".pointer"
 # Number of rows hashed at a time.
 _BLOCK = 1 << 20
-# Largest sizes of the files in JSON: an index has some 400 bytes for each writing rank.
-_MOST_POINTER, _MOST_INDEX = 1 << 16, 1 << 28
+# Largest sizes of the files in JSON: an index has some 400 bytes for each writing rank, and takes up to 30 times its
+# size as Python's values.
+_MOST_POINTER, _MOST_INDEX = 1 << 16, 1 << 25
 # Seconds until files of one machine are visible on another: network file systems cache folders.
 _SEEN_WITHIN = 20.0
 _MOST_TEXT = 240
@@ -154,6 +158,19 @@ def rows_hash(columns: Columns, rank: int, begin: int) -> int:
         words = pad(packed, (0, -packed.shape[1] % 8)).view(torch.int64)
         total += row_hash([torch.full_like(rows, rank), rows + begin, words])
     return total % 2**64
+
+
+def require_writable(root: Path) -> None:
+    """Creates the folder `checkpoints` if needed, and a file in it for a moment: a run that could not write a
+    checkpoint fails before its first step.
+
+    Raises:
+        CheckpointError: no file can be created there.
+    """
+    with file_errors(root, "written to"):
+        root.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=root):
+            pass
 
 
 def make_folder(root: Path, kind: str, steps_made: int) -> str:
@@ -314,14 +331,33 @@ def read_bytes(path: Path, most_bytes: int = _MOST_INDEX) -> bytes:
 
 
 def read_json(path: Path, raw: bytes) -> dict[str, Any]:
-    """The JSON object in a file; raises CheckpointError if there is none."""
+    """The JSON object in a file; raises CheckpointError if there is none. Strict, so that no two readers can differ: in
+    UTF-8, without repeated keys, NaN and infinite numbers.
+    """
     try:
-        content = json.loads(raw)
+        content = json.loads(
+            raw.decode(), object_pairs_hook=_without_repetition, parse_float=_finite, parse_constant=_finite
+        )
     except (ValueError, RecursionError) as error:
         raise CheckpointError(f"{path} cannot be read as JSON: {error}") from error
     if not isinstance(content, dict):
         raise CheckpointError(f"{path}: expected an object, got {type(content).__name__}")
     return content
+
+
+def _without_repetition(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    content = dict(pairs)
+    if len(content) < len(pairs):
+        names = [name for name, _ in pairs]
+        raise ValueError(f"the key {max(names, key=names.count)!r} is repeated")
+    return content
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"expected finite numbers, got {text}")
+    return value
 
 
 def require_format(path: Path, content: Mapping[str, Any], kind: str) -> None:

@@ -1,6 +1,7 @@
 """Reading of checkpoints; see `pgccd.checkpoint`."""
 
 import hashlib
+import math
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -14,6 +15,7 @@ from pgccd.checkpoint.files import (
     DTYPES,
     FOLDER,
     INDEX,
+    MOST_STEPS,
     POINTER,
     SHARED,
     CheckpointError,
@@ -30,6 +32,9 @@ from pgccd.checkpoint.files import (
     whole_number,
 )
 from pgccd.checkpoint.regular import open_regular
+
+# Largest sizes of the header of a safetensors file, and of the tensors of a partition, which has at most 2^31 cells.
+_MOST_HEADER, _MOST_SHARED = 1 << 27, 1 << 34
 
 #: The name of a checkpoint, and the content of its index.
 Index = tuple[str, dict[str, Any]]
@@ -72,9 +77,24 @@ class Stored:
                 raise ValueError("its list of files is not one")
             if any(list(entry.tables) != list(self.layout) for entry in self.files):
                 raise ValueError("files with other tables than it says")
+            if self.steps_made >= MOST_STEPS:
+                raise ValueError(f"steps_made: expected a number below {MOST_STEPS}")
+            for entry in self.files:
+                self._require_plausible(entry)
+            if self._shared is not None and self._shared.bytes > _MOST_HEADER + _MOST_SHARED:
+                raise ValueError(f"{SHARED}: {self._shared.bytes} bytes")
         except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
             problem = str(error).splitlines()[0] if str(error) else type(error).__name__
             raise CheckpointError(f"{path} is not the index of a checkpoint: {problem}") from error
+
+    def _require_plausible(self, entry: FileEntry) -> None:
+        """A file is not larger than its rows and safetensors' header: its hash is computed before it is read."""
+        rows = 0
+        for table, columns in self.layout.items():
+            bytes_each = sum(column.dtype.itemsize * math.prod(column.shape[1:]) for column in columns.values())
+            rows += entry.tables[table].count * bytes_each
+        if not rows < entry.bytes <= rows + _MOST_HEADER:
+            raise ValueError(f"{entry.name}: {entry.bytes} bytes for {rows} bytes of rows")
 
     def row_count(self, table: str) -> int:
         """Number of rows of a table, over all files."""

@@ -4,7 +4,7 @@ The proof is along one direction n, fixed in the world: if n . (x_b - x_a) of al
 triangles stays above a distance for the rest of the step, so do the sets. A poor direction proves nothing, and the
 contact counts as one that approaches. Where features touch exactly, their own normal does not tell on which side of one
 another their surfaces are. There the sets include the faces around one of the features, which the surface would have
-to pass through. See docs/explanation/exactness.md, section 14.
+to pass through. See docs/explanation/exactness.md, section 15.
 """
 
 from __future__ import annotations

@@ -178,7 +178,11 @@ def find_pairs_padded(
             counts[COUNT_ROWS[name]] += added
     if own > pair_capacity:
         counts[COUNT_ROWS["pairs_overflow"]] += 1
-    return with_self_pairs(bodies, pairs), counts
+    pairs = with_self_pairs(bodies, pairs)
+    if bodies.scene.exclude is not None:
+        row = COUNT_ROWS["pairs_written"]
+        pairs, counts[row : row + 1] = select_rows(pairs, _is_tested(bodies, pairs))
+    return pairs, counts
 
 
 def find_pairs(
@@ -220,7 +224,8 @@ def find_pairs_of_checked(
     """
     lengths, number = _lengths(min_separation, tolerance), BROAD_PHASE_NUMBERS[chosen]
     pairs = ops.broad_pairs(*_columns(bodies), elsewhere, *lengths, number, axis, at_any_times, bodies.boxes)
-    return with_self_pairs(bodies, pairs)
+    pairs = with_self_pairs(bodies, pairs)
+    return pairs if bodies.scene.exclude is None else pairs[_is_tested(bodies, pairs)]
 
 
 def meeting_pairs(
@@ -257,6 +262,28 @@ def with_self_pairs(bodies: MovingBodies, pairs: Tensor) -> Tensor:
     merged[row_of_pair] = pairs
     merged[row_of_own] = own[:, None].expand(-1, 2)
     return merged
+
+
+def select_rows(pairs: Tensor, wanted: Tensor) -> tuple[Tensor, Tensor]:
+    """The rows of `pairs` (P, 2) marked by (P,) bool in the same order, then rows of -1; and their number (1,) int64.
+    Does not synchronise.
+    """
+    to = torch.where(wanted, wanted.cumsum(0) - 1, len(pairs))
+    chosen = pairs.new_full((len(pairs) + 1, 2), -1)
+    chosen[to] = pairs
+    return chosen[:-1], wanted.sum().reshape(1)
+
+
+def _is_tested(bodies: MovingBodies, pairs: Tensor) -> Tensor:
+    """(P,) bool: the pairs (P, 2) that `Scene.exclude` does not name; rows of -1 count as none."""
+    exclude, count = bodies.scene.exclude, bodies.scene._exclude_period or bodies.scene.body_count
+    if exclude is None or not len(exclude):
+        return pairs[:, 0] >= 0
+    keys = exclude[:, 0] * count + exclude[:, 1]  # ascending, as the pairs are sorted
+    i, j = pairs.remainder(count).unbind(1)
+    own = i * count + j
+    place = torch.searchsorted(keys, own).clamp(max=len(keys) - 1)
+    return (keys[place] != own) & (pairs[:, 0] >= 0)
 
 
 def _find(bodies: MovingBodies, chosen: str, min_separation: float, tolerance: float | None, axis: int = -1) -> Tensor:

@@ -73,20 +73,21 @@ def check_tensor(
     arguments.shape(values, name, shape, device)
 
 
-def check_pairs(pairs: Tensor, bodies: MovingBodies, ascending: bool = False) -> Tensor:
+def check_pairs(pairs: Tensor, scene: Scene, deforms: bool, ascending: bool = False) -> Tensor:
     """Validates dtype, shape, device and body indices of `pairs`, and returns it.
 
     Args:
+        deforms: whether the bodies deform, so that they may collide with themselves.
         ascending: whether rows must be sorted and unique.
     """
     pairs = arguments.as_tensor(pairs, "pairs")
-    check_tensor(pairs, "pairs", torch.int64, ("P", 2), bodies.device)
-    count = bodies.scene.body_count
+    check_tensor(pairs, "pairs", torch.int64, ("P", 2), scene.device)
+    count = scene.body_count
     i, j = pairs.unbind(dim=1)
     in_order = (i >= 0) & (i < j) & (j < count)
     expected = f"pairs: expected rows 0 <= i < j < {count}"
-    own = bodies.scene.self_collision
-    if own is not None and len(bodies._self_colliding):
+    own = scene.self_collision
+    if own is not None and deforms and len(scene._self_colliding):
         in_order |= (i == j) & (i >= 0) & (j < count) & own[i.clamp(0, count - 1)]
         expected += ", or (i, i) of a body that collides with itself"
     require(in_order, expected, pairs)

@@ -284,6 +284,18 @@ class CountedRows(PairColumns):
     """What results without padding have: any number of rows."""
 
     stats: Stats
+    payload: dict[str, Tensor] = field(default_factory=dict, init=False, repr=False, compare=False)
+
+    def __eq__(self, other: object) -> bool:
+        equal = super().__eq__(other)
+        if equal is not True or not isinstance(other, CountedRows):
+            return equal
+        theirs = other.payload
+        return self.payload.keys() == theirs.keys() and all(
+            _have_equal_bits(column, theirs[name]) for name, column in self.payload.items()
+        )
+
+    __hash__ = None
 
     def __iter__(self) -> NoReturn:
         columns = "zip(hits.pairs.tolist(), hits.toi.tolist())" if "toi" in self._names else "hits.pairs.tolist()"
@@ -368,10 +380,18 @@ class CountedRows(PairColumns):
         columns: dict[str, Any] = {name: change(column) for name, column in self.columns.items()}
         changed = replace(self, **columns)
         changed.scene, changed._is_of_rank = self.scene, self._is_of_rank
+        changed.payload = {name: change(column) for name, column in self.payload.items()}
         return changed
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}(count={len(self)}, pcs={self.stats.pcs}, device={self.pairs.device})"
+
+
+def _have_equal_bits(first: Tensor, second: Tensor) -> bool:
+    """Whether two columns of payload are equal. Not all of their dtypes can be compared by value."""
+    alike = all(getattr(first, name) == getattr(second, name) for name in ("shape", "dtype", "device"))
+    bits = (column.contiguous().flatten().view(torch.uint8) for column in (first, second))
+    return alike and torch.equal(*bits)
 
 
 @dataclass(eq=False, kw_only=True, repr=False)
@@ -382,6 +402,7 @@ class CollidingPairs(WithoutTimes, CountedRows):
     Attributes:
         pairs: (K, 2) int64 body indices, i < j; (i, i) where a body touches itself.
         stats: of the call.
+        payload: columns of both bodies, (K, 2, ...) by name: see `distributed.World.step`; else empty.
         scene: the scene of the bodies; None where `pairs` are not rows of one scene, as on many ranks.
 
     Example:
@@ -411,6 +432,7 @@ class Contacts(WithApproach, ContactColumns, CountedRows):
             zero if degenerate features coincide. Of an edge through a face it is the face's, on the side of j's centre.
         status: (K,) int8, see `Status`: TOUCH or UNRESOLVED.
         stats: of the call.
+        payload: columns of both bodies, (K, 2, ...) by name: see `distributed.World.step`; else empty.
         scene: the scene of the bodies; None where `pairs` are not rows of one scene, as on many ranks.
 
     If an input of `detect` requires grad, then so do toi, coordinates, point and normal: see docs/how-to/gradients.md.
@@ -458,7 +480,8 @@ class Contacts(WithApproach, ContactColumns, CountedRows):
             row = earliest_of_each(owner[::2], count, *order)
         found = self[row]
         earliest = replace(found, stats=replace(found.stats, contacts=len(found)))
-        earliest.scene, earliest._differentiable, earliest._cause = self.scene, found._differentiable, self._cause
+        earliest.scene, earliest.payload, earliest._differentiable = self.scene, found.payload, found._differentiable
+        earliest._cause = self._cause
         earliest._is_of_rank, earliest._is_earliest = self._is_of_rank, True
         earliest._has_each_world = by == "world"
         return earliest

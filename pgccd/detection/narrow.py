@@ -230,7 +230,7 @@ def find_contacts(
         >>> rows = pgccd.narrow.find_contacts(bodies, pairs, candidates, report="all")
     """
     require_bodies(bodies)
-    pairs = check_pairs(pairs, bodies)
+    pairs = check_pairs(pairs, bodies.scene, bodies.deforming)
     candidates = arguments.as_tensor(candidates, "candidates")
     bodies.check()
     check_tensor(candidates, "candidates", torch.int32, ("C", 4), bodies.device)

@@ -114,7 +114,7 @@ def search_padded(
         pair_counts: (7,) int64 on the device: the broad phase's counts, if the number of pairs is not P.
         marks_invalid: whether to search the other bodies if a pose is invalid, where `search_rigid` can.
     """
-    if pairs is None and not bodies.deforming:
+    if pairs is None and not bodies.deforming and bodies.scene.exclude is None:
         return search_rigid(bodies, query, capacity, broad_phase, capacity.of_pairs, marks_invalid)
     invalid_rows = bodies._first_invalid_rows()
     if pairs is None:

@@ -118,6 +118,8 @@ def detect(
     motion: Trajectory,
     report: narrow.ContactReport = "first",
     min_separation: float | Tensor = 0.0,
+    *,
+    pairs: Tensor | None = None,
     **options: Unpack[DetectOptions],
 ) -> TrajectoryContacts: ...
 @overload
@@ -126,6 +128,8 @@ def detect(
     motion: Trajectory,
     report: Literal["any"],
     min_separation: float | Tensor = 0.0,
+    *,
+    pairs: Tensor | None = None,
     **options: Unpack[DetectOptions],
 ) -> CollidingPairs: ...
 @overload
@@ -134,6 +138,8 @@ def detect(
     motion: Trajectory,
     report: narrow.Report,
     min_separation: float | Tensor = 0.0,
+    *,
+    pairs: Tensor | None = None,
     **options: Unpack[DetectOptions],
 ) -> TrajectoryContacts | CollidingPairs: ...
 def detect(
@@ -168,7 +174,7 @@ def detect(
         scene: the bodies.
         motion: their paths. All segments of a `Trajectory` are tested in one call: "first" is then the first contact of
             each pair over all segments, "earliest" that of the scene, "any" the pairs that collide in any segment, and
-            "all" the contacts of every segment; neither `pairs` nor `capacity` may be given.
+            "all" the contacts of every segment; `capacity` may not be given.
         report: "any": the body pairs that collide (Alg. 2 of Du, Liu & Suzumura 2017). "first": the earliest contact of
             each pair (of equal toi the smallest kind and features). "all": every touching feature pair. "earliest": the
             first contact of the scene; its toi is the largest collision-free fraction of the step.
@@ -187,7 +193,8 @@ def detect(
         broad_phase: how the PCS is found: "sweep", "grid", "lbvh", or "auto", which chooses by number and sizes of the
             bodies (see `stats`). The result does not depend on it.
         pairs: (P, 2) int64, i < j (or i, i for a body tested against itself), sorted and unique: test only these body
-            pairs, without a broad phase. The scene's filters are not applied to them.
+            pairs, without a broad phase; of a trajectory, in each of its segments. The scene's filters and `exclude`
+            are not applied to them.
         memory_budget: bytes of scratch memory to aim at; the PCS is streamed in chunks to respect it. Default 1 GiB,
             or a quarter of what is free on a GPU if that is more. The result does not depend on it.
         capacity: of the result and of all intermediate lists. Then sizes are fixed and the call does not synchronise,
@@ -224,13 +231,12 @@ def detect(
     if isinstance(motion, Trajectory):
         if scene.body_count == 1:
             warn_of_only_body(scene, motion)
-        for name, value in (("pairs", pairs), ("capacity", capacity)):
-            if value is not None:
-                raise ValueError(f"{name}: cannot be given with a Trajectory, whose segments are found in one call")
-
+        if capacity is not None:
+            raise ValueError("capacity: cannot be given with a Trajectory, whose segments are found in one call")
         options: DetectOptions = {"tolerance": tolerance, "nonzero_toi": nonzero_toi, "initial": initial}
         options |= {"normals": normals, "broad_phase": broad_phase, "memory_budget": memory_budget}
-        return detect_trajectory(scene, motion, query, partial(detect, min_separation=min_separation, **options))
+        detect_step = partial(detect, min_separation=min_separation, **options)
+        return detect_trajectory(scene, motion, query, detect_step, pairs)
     given = scene, motion
     differentiated = motion._is_differentiated or any_differentiated(scene.margin, min_separation)
     if differentiated:
@@ -255,7 +261,7 @@ def detect(
     seconds = time.perf_counter() - start if capacity is None else 0.0
     broad.choose(bodies, broad_phase)  # raises for an unknown name
     if pairs is not None:
-        pairs = check_pairs(pairs, bodies, ascending=True)
+        pairs = check_pairs(pairs, scene, bodies.deforming, ascending=True)
     if sizes is not None:
         return search_padded(bodies, query, sizes, broad_phase, pairs, marks_invalid=True).padded()
     found = detect_moving(bodies, query, broad_phase, pairs, memory_budget)
@@ -348,10 +354,10 @@ def expected_capacity(
 def _detect_exactly(
     bodies: MovingBodies, query: Query, broad_phase: broad.BroadPhase, pairs: Tensor | None, memory_budget: int | None
 ) -> Contacts | CollidingPairs | None:
-    """Runs all stages by one operator, on a CPU; None for deforming bodies or given pairs, or if the pairs exceed the
-    memory budget.
+    """Runs all stages by one operator, on a CPU; None for deforming bodies, given or excluded pairs, or if the pairs
+    exceed the memory budget.
     """
-    if pairs is not None or bodies.deforming:
+    if pairs is not None or bodies.deforming or bodies.scene.exclude is not None:
         return None
     estimate = estimate_of(bodies.scene, query, None)
     most = pairs_a_chunk(bodies.scene, estimate, memory_budget)

@@ -1,15 +1,15 @@
 """Detection along a trajectory: all segments in one call."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import ClassVar
+from typing import ClassVar, Protocol
 
 import torch
 from torch import Tensor
 
 from pgccd.detection import narrow
 from pgccd.detection.bodies import check_scene
+from pgccd.detection.checks import check_pairs
 from pgccd.detection.contacts import COLUMNS, CollidingPairs, Contacts, earliest_row
 from pgccd.detection.grouping import By
 from pgccd.detection.query import Query
@@ -33,7 +33,7 @@ class TrajectoryContacts(Contacts):
         segment: (K,) int64: from waypoint `segment` to the next.
         toi: (K,) float64 in [0, 1], within the segment.
         time: (K,) float64 in [0, 1] along the whole trajectory: (segment + toi) / (T - 1), rounded down.
-        pairs, kind, features, coordinates, point, normal, status, stats, scene: as of `Contacts`.
+        pairs, kind, features, coordinates, point, normal, status, stats, payload, scene: as of `Contacts`.
     """
 
     segment: Tensor
@@ -63,12 +63,17 @@ class TrajectoryContacts(Contacts):
         return self._first_time(self.time, by)
 
 
-#: Finds the contacts of one step.
-DetectStep = Callable[[Scene, RigidMotion | VertexMotion, narrow.Report], Contacts | CollidingPairs]
+class DetectStep(Protocol):
+    """Finds the contacts of one step."""
+
+    def __call__(
+        self, scene: Scene, motion: RigidMotion | VertexMotion, report: narrow.Report, *, pairs: Tensor | None
+    ) -> Contacts | CollidingPairs:
+        """As `pgccd.detect`."""
 
 
 def detect_trajectory(
-    scene: Scene, trajectory: Trajectory, query: Query, detect_step: DetectStep
+    scene: Scene, trajectory: Trajectory, query: Query, detect_step: DetectStep, pairs: Tensor | None = None
 ) -> TrajectoryContacts | CollidingPairs:
     """`pgccd.detect` for a trajectory.
 
@@ -88,7 +93,13 @@ def detect_trajectory(
         raise ValueError(f"motion: has {rows} {what}, the scene {expected}")
     # "earliest" selects from the first contacts of all segments.
     report: narrow.Report = "first" if query.report == "earliest" else query.report
-    found = detect_step(repeated(scene, segments), steps, report)
+    copies = repeated(scene, segments)
+    copies.margin = trajectory._margins(copies.margin, count)
+    if pairs is not None:
+        given = check_pairs(pairs, scene, trajectory.orientation is None, ascending=True)
+        first_body = torch.arange(segments, device=scene.device)[:, None, None] * count
+        pairs = (given + first_body).reshape(-1, 2)
+    found = detect_step(copies, steps, report, pairs=pairs)
     if isinstance(found, CollidingPairs):
         stats = replace(found.stats, bodies=count, needed=None)
         segment = torch.div(found.pairs[:, :1], max(1, count), rounding_mode="floor")
@@ -175,6 +186,7 @@ def repeated(scene: Scene, times: int) -> Scene:
     radius = scene._current_radius().repeat(times)
     many = Scene._of_checked(scene.meshes, scene.mesh_index.repeat(times), own, radius, **columns)
     many._capacity_estimates = scene._capacity_estimates
+    many.exclude, many._exclude_period = scene.exclude, scene.body_count
     return many
 
 

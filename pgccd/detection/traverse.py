@@ -51,7 +51,7 @@ def find_candidates(
         >>> candidates, node_tests = pgccd.traverse.find_candidates(bodies, pgccd.broad.sweep(bodies))
     """
     require_bodies(bodies)
-    pairs = check_pairs(pairs, bodies)
+    pairs = check_pairs(pairs, bodies.scene, bodies.deforming)
     bodies.check()
     if horizon is not None:
         check_tensor(horizon, "horizon", torch.float64, pairs.shape[:1], pairs.device)

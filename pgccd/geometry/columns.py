@@ -88,6 +88,30 @@ def margin_column(values: Tensor | Sequence[float] | float, count: int, device: 
     return column.contiguous()
 
 
+def pairs_never_tested(values: Tensor | Sequence[Sequence[int]], count: int, device: torch.device) -> Tensor:
+    """Pairs of different bodies, in any order, as (E, 2) int64 on the device: i < j, sorted, each once."""
+    expected = "pairs of different bodies, shape (E, 2)"
+    try:
+        pairs = torch.as_tensor(values)
+    except (TypeError, ValueError, RuntimeError, OverflowError) as error:
+        raise TypeError(f"exclude: expected {expected}, got {arguments.describe(values)}: {error}") from error
+    if pairs.numel() == 0:
+        pairs = pairs.to(torch.int64).reshape(-1, 2)
+    if pairs.dtype.is_floating_point or pairs.dtype.is_complex or pairs.dtype == torch.bool:
+        raise TypeError(f"exclude: expected integers, {expected}, got {pairs.dtype}")
+    if pairs.dim() != 2 or pairs.shape[1] != 2:
+        raise ValueError(f"exclude: expected {expected}, got shape {tuple(pairs.shape)}")
+    pairs = pairs.to(device=device, dtype=torch.int64)
+    sound = ((pairs >= 0) & (pairs < count)).all(dim=1) & (pairs[:, 0] != pairs[:, 1])
+    if not bool(sound.all()):
+        row = int((~sound).long().argmax())
+        hint = "; a body is tested against itself only with self_collision" if pairs[row].unique().numel() == 1 else ""
+        raise ValueError(
+            f"exclude: pair {row}: expected two different bodies from 0 to {count - 1}, got {pairs[row].tolist()}{hint}"
+        )
+    return torch.unique(pairs.sort(dim=1).values, dim=0)
+
+
 def self_column(values: Tensor | Sequence[bool] | bool, count: int, device: torch.device) -> Tensor | None:
     """Flags, a single one or one per body, as (count,) bool on the device; None for False."""
     if isinstance(values, bool):

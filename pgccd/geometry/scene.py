@@ -16,6 +16,7 @@ from pgccd.geometry.columns import (
     bool_column,
     integer_column,
     margin_column,
+    pairs_never_tested,
     require_meshes,
     require_worlds,
     self_column,
@@ -43,8 +44,8 @@ class VertexLayout:
 class Scene:
     """N bodies, each an instance of one of a few meshes. Positions are not part of it: see `pgccd.motion.paths`.
 
-    A pair of bodies is tested if both are in the same `world`, at least one is not `static`, and each one's `group` has
-    a bit in common with the other's `mask`.
+    A pair of bodies is tested if both are in the same `world`, at least one is not `static`, each one's `group` has a
+    bit in common with the other's `mask`, and it is not in `exclude`.
 
     Args:
         meshes: the meshes, or a `MeshSet` already on `device`.
@@ -60,9 +61,11 @@ class Scene:
             separation min_separation + margin_i + margin_j, and a body against itself with min_separation + 2 margin_i.
             Default none. If a body's true path never deviates from the tested one by more than its margin, no contact
             of the true path is missed.
+        exclude: (E, 2) integers: pairs of bodies that are never tested, such as links joined by a joint; in any order.
+            Default none.
 
     `mesh_index`, `group`, `mask`, `world`, `static` and `margin` may be written to or replaced later, and are validated
-    at each use, as the poses of a motion are; the bodies that are tested against themselves are fixed. A margin given
+    at each use, as the poses of a motion are; `self_collision` and `exclude` are fixed. A margin given
     as a Python number or list is float64; a float64 tensor or array is shared, not copied.
 
     Attributes:
@@ -74,6 +77,7 @@ class Scene:
         static: (N,) uint8, or None.
         margin: (N,) float64, or None if no body has a margin.
         self_collision: (N,) bool, or None if no body is tested against itself.
+        exclude: (E, 2) int64, i < j, sorted, each once; or None.
         device: of all tensors.
 
     Raises:
@@ -97,6 +101,7 @@ class Scene:
         static: Tensor | Sequence[bool] | None = None,
         self_collision: Tensor | Sequence[bool] | bool = False,
         margin: Tensor | Sequence[float] | float | None = None,
+        exclude: Tensor | Sequence[Sequence[int]] | None = None,
     ) -> None:
         if device is None:
             if isinstance(meshes, MeshSet):
@@ -128,6 +133,7 @@ class Scene:
         if self.self_collision is not None and self.static is not None:
             self.self_collision &= self.static == 0
         self._count_self_colliding()
+        self.exclude = None if exclude is None else pairs_never_tested(exclude, count, self.device)
         self._remember()
 
     #: Whether the columns come from a validated scene and are not checked again.
@@ -173,6 +179,7 @@ class Scene:
             setattr(scene, name, columns.get(name))
         scene.self_collision, scene._given_radius = self_collision, radius
         scene._count_self_colliding()
+        scene.exclude = None
         return scene
 
     def _count_self_colliding(self) -> None:
@@ -195,10 +202,14 @@ class Scene:
     # The `mesh_index` whose values have been validated, and the `self_collision` that `_self_colliding` follows.
     _validated_index: Derived | None = None
     _fixed: Derived | None = None
+    _fixed_exclude: Derived | None = None
+    # The number of bodies after which `exclude` repeats, in a scene of several copies. Default: that of all bodies.
+    _exclude_period: int | None = None
 
     def _remember(self) -> None:
         self._validated_index = Derived(self.mesh_index, None)
         self._fixed = None if self.self_collision is None else Derived(self.self_collision, None)
+        self._fixed_exclude = None if self.exclude is None else Derived(self.exclude, None)
 
     @property
     def radius(self) -> Tensor:
@@ -308,11 +319,14 @@ class Scene:
             if not column.is_contiguous():
                 raise ValueError(f"{name}: expected a contiguous tensor")
             arguments.refuse_gradient(column, name)
-        fixed, given = self._fixed, self.self_collision
-        if self._is_trusted or (fixed is None and given is None):
+        if self._is_trusted:
             return
-        if fixed is None or not isinstance(given, Tensor) or not fixed.is_of(given):
-            raise ValueError("self_collision: it is fixed, but was written or replaced: make a new Scene")
+        for name, fixed in (("self_collision", self._fixed), ("exclude", self._fixed_exclude)):
+            given = getattr(self, name)
+            if fixed is None and given is None:
+                continue
+            if fixed is None or not isinstance(given, Tensor) or not fixed.is_of(given):
+                raise ValueError(f"{name}: it is fixed, but was written or replaced: make a new Scene")
 
     def __getitem__(self, rows: Tensor | slice | Sequence[int]) -> Scene:
         """The scene of some bodies: a mask (N,), row numbers or a slice. Motions are indexed in the same way. May
@@ -326,7 +340,20 @@ class Scene:
         given = {name: column[picked] for name, column in columns.items() if column is not None}
         if "static" in given:
             given["static"] = given["static"].bool()
-        return Scene(self.meshes, self.mesh_index[picked], **given)
+        mesh_index = self.mesh_index[picked]
+        if self.exclude is not None:
+            given["exclude"] = self._excluded_among(torch.arange(self.body_count, device=self.device)[picked])
+        return Scene(self.meshes, mesh_index, **given)
+
+    def _excluded_among(self, picked: Tensor) -> Tensor:
+        """`exclude` as rows of the bodies (K,)."""
+        assert self.exclude is not None
+        place = torch.full((self.body_count,), -1, device=self.device)
+        place[picked] = torch.arange(len(picked), device=self.device)
+        if not torch.equal(place[picked], torch.arange(len(picked), device=self.device)):
+            raise ValueError("rows: expected each body at most once, since the scene has pairs to exclude")
+        pairs = place[self.exclude]
+        return pairs[(pairs >= 0).all(dim=1)]
 
     def state_dict(self) -> dict[str, Any]:
         """The scene and its meshes as a dictionary of tensors, lists and numbers, without gradients, for `torch.save`
@@ -374,7 +401,7 @@ class Scene:
         moved = copy.copy(self)
         moved.meshes, moved.device = meshes, meshes.device
         moved._radius = moved._layout = moved._world_count = moved._own_estimates = None
-        for name in (*_DTYPES, "self_collision", "_self_colliding", "_given_radius"):
+        for name in (*_DTYPES, "self_collision", "exclude", "_self_colliding", "_given_radius"):
             column = getattr(self, name)
             if column is not None:
                 setattr(moved, name, column.to(meshes.device))
@@ -397,4 +424,4 @@ _DTYPES = {
     "margin": torch.float64,
 }
 # Those and what is fixed: the entries of a state_dict besides meshes.
-_ENTRIES = (*_DTYPES, "self_collision")
+_ENTRIES = (*_DTYPES, "self_collision", "exclude")

@@ -6,8 +6,6 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from pgccd import arguments
-
 # Squares of angles below which sine and cosine are replaced by series, whose next terms are below rounding.
 _SMALL_SQUARE = 1e-8
 
@@ -57,7 +55,13 @@ def sum_by_row(terms: Tensor, row: Tensor, count: int) -> Tensor:
     """(count, ...): for each row the sum of the terms (M, ...) that are of it, by `row` (M,), in their order."""
     if terms.device.type == "cpu":  # one after the other
         return terms.new_zeros((count, *terms.shape[1:])).index_add_(0, row, terms)
-    # There, index_add_ adds in any order.
+    return sum_sorted(terms, row, count)  # there, index_add_ adds in any order
+
+
+def sum_sorted(terms: Tensor, row: Tensor, count: int) -> Tensor:
+    """As `sum_by_row`, by sorting."""
+    if len(terms) == 0:
+        return terms.new_zeros((count, *terms.shape[1:]))
     ordered, order = torch.sort(row, stable=True)
     begin = torch.searchsorted(ordered, torch.arange(count + 1, device=row.device))
     return torch.segment_reduce(terms[order], "sum", offsets=begin, axis=0, unsafe=True, initial=0.0)
@@ -125,6 +129,9 @@ def pose_at(
     return position_t0 + fraction * (position_t1 - position_t0), product(quaternion_of(fraction * rotation), start)
 
 
-def any_differentiated(*values: Any) -> bool:
+def any_differentiated(*values: Tensor | float | None) -> bool:
     """Whether any of the values requires grad while gradients are enabled."""
-    return torch.is_grad_enabled() and any(arguments.is_differentiated(value) for value in values)
+    for value in values:
+        if isinstance(value, Tensor) and value.requires_grad:
+            return torch.is_grad_enabled()
+    return False

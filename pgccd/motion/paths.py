@@ -68,11 +68,14 @@ class RigidMotion(MovingColumns):
     ) -> None:
         self._set(position_t0, orientation_t0, position_t1, path)
         orientation_t1 = _rows(orientation_t1, "orientation_t1", self.body_count, 4, self.device)
-        self.rotation = ops.rotations_between(self.orientation_t0.detach(), orientation_t1.detach())
         if any_differentiated(self.orientation_t0, orientation_t1):
             expression = rotation_between(self.orientation_t0, orientation_t1)
-            self.rotation = with_gradient_of(self.rotation, expression, "rotation")
-        self._check_early(given={"orientation_t1": orientation_t1.detach()})
+            orientation_t1 = orientation_t1.detach()
+            value = ops.rotations_between(self.orientation_t0.detach(), orientation_t1)
+            self.rotation = with_gradient_of(value, expression, "rotation")
+        else:
+            self.rotation = ops.rotations_between(self.orientation_t0, orientation_t1)
+        self._check_early(given={"orientation_t1": orientation_t1})
 
     @classmethod
     def from_velocity(

@@ -1,11 +1,19 @@
 """Trajectories: paths through many waypoints."""
 
+from __future__ import annotations
+
 import torch
 from torch import Tensor
 
 from pgccd import arguments
+from pgccd.arguments import real_rows
 from pgccd.motion.paths import PATHS, PathKind, RigidMotion, VertexMotion
-from pgccd.motion.validation import columns_checked, first_invalid_rows
+from pgccd.motion.rotation import integrate_orientation
+from pgccd.motion.validation import MARGIN, Checked, columns_checked, first_invalid_rows
+
+# How far an orientation may be from where the rotation before it leads, in units in the last place of the coarser of
+# both, for each radian of the rotation and one more.
+_ROUNDING = 64.0
 
 
 class Trajectory:
@@ -13,25 +21,34 @@ class Trajectory:
 
     Two waypoints of a robot's link do not follow the path of its joint. Between them the link's origin moves on a
     straight line, while a link whose joint is elsewhere swings on an arc, so contacts of the true path may be missed.
-    Give so many waypoints that the deviation is small, and bodies a margin (see `Scene`) of at least the deviation; or
-    put the mesh's origin at the joint, if the joint itself moves on a straight line.
+    Give a margin of at least the deviation (`margin`, or that of the scene), and so many waypoints that it is small; or
+    put the mesh's origin at the joint, if the joint itself moves on a straight line. `pgccd.robots` does all of this
+    for arms.
 
     Args:
         position: (T, N, 3) positions of the meshes' origins, world frame, scene length units; or, without
             `orientation`, vertices (T, X, 3) of deforming bodies, in the order of `VertexMotion`.
-        orientation: (T, N, 4) unit quaternions (w, x, y, z), body to world. Between waypoints bodies rotate the shorter
-            way.
+        orientation: (T, N, 4) unit quaternions (w, x, y, z), body to world. Without `rotation`, bodies rotate the
+            shorter way between waypoints. With it, (N, 4) of the first waypoint suffices: others follow.
         path: "rigid" or "linear", as for `RigidMotion`.
+        rotation: (T - 1, N, 3) rotation vectors of the segments, radians, world frame, as for
+            `RigidMotion.from_rotation`; turns may be longer than half a revolution. Orientation k + 1 must be
+            exp(rotation k) orientation k, up to rounding: of float64, or of float32 if one of both is given as such.
+        margin: (T - 1, N) lengths: thickness of each body in each segment, besides that of the scene (`Scene`). If the
+            true path never strays from the tested one by more than this, no contact of the true path is missed.
 
-    float32 input is widened to float64 exactly. Construction synchronises with a GPU once.
+    float32 input is widened to float64 exactly. Construction synchronises with a GPU once, and once more with
+    `rotation` or `margin`.
 
     Attributes:
         position: (T, N, 3) float64.
         orientation: (T, N, 4) float64, or None for deforming bodies.
+        rotation: (T - 1, N, 3) float64, or None if bodies rotate the shorter way.
+        margin: (T - 1, N) float64, or None.
         path: "rigid" or "linear".
 
     Raises:
-        TypeError, ValueError: naming the argument, and the first offending waypoint and body or vertex.
+        TypeError, ValueError: naming the argument, and the first offending waypoint or segment, and body or vertex.
 
     Example:
         >>> trajectory = pgccd.Trajectory(torch.stack([x0, x1]), torch.stack([q0, q1]))  # (T, N, 3), (T, N, 4)
@@ -39,26 +56,131 @@ class Trajectory:
         >>> hits.segment, hits.toi, hits.time
     """
 
-    def __init__(self, position: Tensor, orientation: Tensor | None = None, path: PathKind = "rigid") -> None:
+    def __init__(
+        self,
+        position: Tensor,
+        orientation: Tensor | None = None,
+        path: PathKind = "rigid",
+        *,
+        rotation: Tensor | None = None,
+        margin: Tensor | None = None,
+    ) -> None:
         arguments.choice(path, "path", PATHS)
         self.path: PathKind = path
-        self.position = position
+        self.position, self.rotation, self.margin = position, rotation, margin
+        if rotation is not None and orientation is None:
+            raise ValueError("rotation: expected an orientation beside it; vertices of deforming bodies do not turn")
+        if rotation is not None and isinstance(orientation, Tensor) and orientation.dim() == 2:
+            self.position = _waypoints(position, "position", 3, None)
+            self._note_rounding(orientation, rotation)
+            self.rotation = rotation = _of_segments(rotation, "rotation", (self.position.shape[1], 3), self.position)
+            orientation = _turned(orientation, rotation)
         self.orientation = orientation
         self._check(slice(0, None))
+
+    # The coarser unit in the last place of orientations and rotations as given.
+    _unit = torch.finfo(torch.float64).eps
+
+    @classmethod
+    def from_velocity(
+        cls,
+        position: Tensor,
+        orientation: Tensor,
+        linear_velocity: Tensor,
+        angular_velocity: Tensor,
+        dt: Tensor | float,
+        path: PathKind = "rigid",
+        *,
+        margin: Tensor | None = None,
+    ) -> Trajectory:
+        """From a start and the velocities in each segment; a body may rotate by more than half a turn in one.
+
+        Args:
+            position, orientation: (N, 3) and (N, 4), at the first waypoint.
+            linear_velocity: (T - 1, N, 3), length units per time unit.
+            angular_velocity: (T - 1, N, 3), world frame, radians per time unit.
+            dt: durations of the segments, time units: a number, or one per segment (T - 1,).
+            path, margin: as for the constructor.
+
+        Raises:
+            TypeError, ValueError: naming the argument, and the first offending segment and body.
+
+        Example:
+            >>> spin = pgccd.Trajectory.from_velocity(x, q, v.expand(8, 2, 3), omega.expand(8, 2, 3), dt=0.1)
+            >>> spin.position.shape, spin.rotation.shape
+            (torch.Size([9, 2, 3]), torch.Size([8, 2, 3]))
+        """
+        start = real_rows(position, "position", None, 3, None)
+        turned = real_rows(orientation, "orientation", len(start), 4, start.device)
+        rates = (("linear_velocity", linear_velocity), ("angular_velocity", angular_velocity))
+        for name, values in rates:
+            if isinstance(values, Tensor):
+                arguments.refuse_gradient(values, name)
+        velocity, spin = (_of_segments(values, name, (len(start), 3), start) for name, values in rates)
+        if len(spin) != len(velocity):
+            expected = f"shape {tuple(velocity.shape)}, as of linear_velocity"
+            raise ValueError(f"angular_velocity: expected {expected}, got {tuple(spin.shape)}")
+        for (name, _), values in zip(rates, (velocity, spin), strict=True):
+            _raise_invalid(columns_checked({name: values.flatten(0, 1)}, "body"), "segment", 0, len(start))
+        duration = arguments.real_numbers(dt, "dt", "finite durations >= 0").to(start.device)
+        if duration.shape not in ((), (len(velocity),)):
+            raise ValueError(f"dt: expected a number or shape ({len(velocity)},), got {tuple(duration.shape)}")
+        if not bool(((duration >= 0.0) & (duration < torch.inf)).all()):
+            raise ValueError(f"dt: expected finite durations >= 0, got {duration.tolist()}")
+        duration = duration.expand(len(velocity))[:, None, None]
+        positions = [start]
+        for travel in duration * velocity:
+            positions.append(positions[-1] + travel)
+        return cls(torch.stack(positions), turned, path, rotation=duration * spin, margin=margin)
+
+    def _note_rounding(self, *columns: Tensor | None) -> None:
+        given = [column.dtype for column in columns if isinstance(column, Tensor) and column.is_floating_point()]
+        self._unit = max(self._unit, *(torch.finfo(dtype).eps for dtype in given), 0.0)
 
     def _check(self, waypoints: slice) -> None:
         """Raises TypeError or ValueError naming the column, and the first invalid row of these waypoints."""
         self.position = _waypoints(self.position, "position", 3, None)
         columns, row = {"position": self.position[waypoints]}, "vertex"
         if self.orientation is not None:
+            self._note_rounding(self.orientation, self.rotation)
             self.orientation, row = _waypoints(self.orientation, "orientation", 4, self.position), "body"
             columns["orientation"] = self.orientation[waypoints]
         count = self.position.shape[1]
         checked = columns_checked({name: column.flatten(0, 1) for name, column in columns.items()}, row)
-        for column, invalid in zip(checked, first_invalid_rows(checked).tolist(), strict=False):
-            if invalid < len(column.values):
-                column.row = f"waypoint {waypoints.start + invalid // count}, {row}"
-                raise ValueError(column.problem(invalid, invalid % count))
+        _raise_invalid(checked, "waypoint", waypoints.start, count)
+        segments = slice(waypoints.start, None if waypoints.stop is None else waypoints.stop - 1)
+        if self.rotation is not None:
+            self.rotation = _of_segments(self.rotation, "rotation", (count, 3), self.position, self.segment_count)
+            rotation = self.rotation[segments].flatten(0, 1)
+            _raise_invalid(columns_checked({"rotation": rotation}, row), "segment", segments.start, count)
+            self._check_turns(columns["orientation"], self.rotation[segments], segments.start)
+        if self.margin is not None:
+            # Of deforming bodies the number of bodies is known to the scene alone.
+            bodies = count if self.orientation is not None else None
+            self.margin = _of_segments(self.margin, "margin", (bodies,), self.position, self.segment_count)
+            margin = self.margin[segments]
+            _raise_invalid(
+                [Checked("margin", margin.reshape(-1), MARGIN, "body")], "segment", segments.start, margin.shape[1]
+            )
+
+    def _check_turns(self, orientation: Tensor, rotation: Tensor, first: int) -> None:
+        """Raises ValueError unless each rotation leads from one orientation to the next."""
+        orientation, rotation = orientation.detach(), rotation.detach()
+        turned = integrate_orientation(orientation[:-1].reshape(-1, 4), rotation.reshape(-1, 3))
+        reached = orientation[1:].reshape(-1, 4)
+        reached = reached / _length(reached)[:, None]
+        off = torch.minimum(_length(turned - reached), _length(turned + reached))
+        allowed = _ROUNDING * self._unit * (1.0 + _length(rotation.reshape(-1, 3)))
+        wrong = off > allowed
+        if bool(wrong.any()):
+            row = int(wrong.long().argmax())
+            segment, body = row // orientation.shape[1], row % orientation.shape[1]
+            raise ValueError(
+                f"rotation: segment {first + segment}, body {body}: expected a rotation vector that leads to the "
+                f"orientation of waypoint {first + segment + 1} within {float(allowed[row]):.2g} of a unit quaternion, "
+                f"got one that leads {float(off[row]):.3g} away; orientation (N, 4) of the first waypoint alone "
+                "lets the others follow"
+            )
 
     @property
     def device(self) -> torch.device:
@@ -72,7 +194,7 @@ class Trajectory:
 
     def segment(self, index: int) -> RigidMotion | VertexMotion:
         """The step from waypoint `index` to the next. `detect` returns the same contacts for it as for this segment,
-        bitwise.
+        bitwise, if `margin` [index] is added to that of the scene.
 
         Raises:
             IndexError: the index is out of range.
@@ -88,7 +210,7 @@ class Trajectory:
         return self._motion(slice(index, index + 1))
 
     def steps(self) -> RigidMotion | VertexMotion:
-        """All segments as one step: the bodies of segment k follow those of segment k - 1.
+        """All segments as one step: the bodies of segment k follow those of segment k - 1. Without `margin`.
 
         Raises:
             TypeError, ValueError: a column has been replaced or written, and is invalid.
@@ -96,13 +218,63 @@ class Trajectory:
         self._check(slice(0, None))
         return self._motion(slice(0, self.segment_count))
 
+    def _margins(self, of_scene: Tensor | None, bodies: int) -> Tensor | None:
+        """(S N,) margins of the bodies of all segments, from those of the scene's bodies in all segments, if any; their
+        sums are rounded up.
+
+        Raises:
+            ValueError: the margins are those of another number of bodies.
+        """
+        if self.margin is None:
+            return of_scene
+        if self.margin.shape[1] != bodies:
+            expected = f"shape ({self.segment_count}, {bodies}), as the scene has {bodies} bodies"
+            raise ValueError(f"margin: expected {expected}, got {tuple(self.margin.shape)}")
+        own = self.margin.reshape(-1)
+        if of_scene is None:
+            return own.contiguous()
+        total = own + of_scene
+        is_exact = (own == 0.0) | (of_scene == 0.0)
+        plain = total.detach()
+        rounded = torch.where(is_exact, plain, torch.nextafter(plain, torch.full_like(plain, torch.inf)))
+        return total + (rounded - plain)  # exact, with the gradient of the sum
+
     def _motion(self, segments: slice) -> RigidMotion | VertexMotion:
         ends = slice(segments.start + 1, segments.stop + 1)
         start, end = (self.position[rows].reshape(-1, 3) for rows in (segments, ends))
         if self.orientation is None:
             return VertexMotion(start, end)
+        if self.rotation is not None:
+            first = self.orientation[segments].reshape(-1, 4)
+            return RigidMotion.from_rotation(start, first, end, self.rotation[segments].reshape(-1, 3), self.path)
         turn = (self.orientation[rows].reshape(-1, 4) for rows in (segments, ends))
         return RigidMotion(start, next(turn), end, next(turn), self.path)
+
+
+def _length(rows: Tensor) -> Tensor:
+    """(K,) lengths of rows (K, n), summed in the same order on every device."""
+    total = torch.zeros_like(rows[:, 0])
+    for column in rows.unbind(1):
+        total = total + column * column
+    return total.sqrt()
+
+
+def _turned(orientation: Tensor, rotation: Tensor) -> Tensor:
+    """(T, N, 4): the orientations to which rotations (T - 1, N, 3) lead from the first ones (N, 4)."""
+    turned = [real_rows(orientation, "orientation", rotation.shape[1], 4, rotation.device)]
+    for step in rotation:
+        turned.append(integrate_orientation(turned[-1], step))
+    return torch.stack(turned)
+
+
+def _raise_invalid(columns: list[Checked], what: str, first: int, count: int) -> None:
+    """Raises ValueError for the first invalid row of columns, of which `count` rows follow each other in each waypoint
+    or segment (`what`), counted from `first`.
+    """
+    for column, invalid in zip(columns, first_invalid_rows(columns).tolist(), strict=False):
+        if invalid < len(column.values):
+            column.row = f"{what} {first + invalid // count}, {column.row}"
+            raise ValueError(column.problem(invalid, invalid % count))
 
 
 def _waypoints(values: Tensor, name: str, width: int, like: Tensor | None) -> Tensor:
@@ -114,6 +286,22 @@ def _waypoints(values: Tensor, name: str, width: int, like: Tensor | None) -> Te
         shape = (*like.shape[:2], width)
         raise ValueError(f"{name}: expected shape {shape}, as of position, got {tuple(values.shape)}")
     if like is not None and values.device != like.device:
+        raise ValueError(f"{name}: expected device {like.device}, got {values.device}")
+    values = values if arguments.is_differentiated(values) else values.detach()
+    return values.to(torch.float64).contiguous()
+
+
+def _of_segments(
+    values: Tensor, name: str, row: tuple[int | None, ...], like: Tensor, count: int | None = None
+) -> Tensor:
+    """The values as float64 (segments, *row), for `count` segments if given; None in a row is any number."""
+    values = arguments.real_tensor(values, name)
+    of_any = ["N" if size is None else size for size in row]
+    shape = ["T - 1" if count is None else count, *of_any]
+    fits = values.dim() == len(shape) and values.shape[0] > 0
+    if not fits or any(isinstance(n, int) and n != size for n, size in zip(shape, values.shape, strict=True)):
+        raise ValueError(f"{name}: expected shape ({', '.join(map(str, shape))}), got {tuple(values.shape)}")
+    if values.device != like.device:
         raise ValueError(f"{name}: expected device {like.device}, got {values.device}")
     values = values if arguments.is_differentiated(values) else values.detach()
     return values.to(torch.float64).contiguous()

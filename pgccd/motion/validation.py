@@ -119,7 +119,8 @@ def first_invalid_rows(columns: Sequence[Checked]) -> Tensor:
     """(F + 1,) int64 on the columns' device: the first invalid row of each of the F columns, or the number of rows;
     then 1 if any row is invalid, else 0. Does not synchronise.
     """
-    values = [each.values.detach().to(torch.float64) for each in columns]
+    values = [each.values.detach() if each.values.requires_grad else each.values for each in columns]
+    values = [column.to(torch.float64) for column in values]
     values = [column[:, None] if column.dim() == 1 else column for column in values]
     checks = [CHECK_NUMBERS[each.check.kind] for each in columns]
     return ops.first_invalid_rows(values, checks, [each.check.limit for each in columns])

@@ -76,7 +76,7 @@ class ShortenedSearch:
         pairs, counts = broad.find_pairs_padded(
             bodies, self.query.min_separation, self.broad_phase, capacity, self.invalid, self.query.tolerance
         )
-        pairs, count = select_rows(pairs, has_changed(pairs, changed))
+        pairs, count = broad.select_rows(pairs, has_changed(pairs, changed))
         row = COUNT_ROWS["pairs_written"]
         counts[row : row + 1].copy_(count)
         search_pass = SearchPass(self.query, bodies, pairs, counts, capacity=capacity)
@@ -111,13 +111,3 @@ def has_changed(pairs: Tensor, changed: Tensor) -> Tensor:
     """(P,) bool: pairs (P, 2) with a body marked by (N,) uint8; rows of -1 have none."""
     marks = torch.cat([changed, changed.new_zeros(1)])  # the last row is that of -1
     return (marks[pairs] != 0).any(dim=1)
-
-
-def select_rows(pairs: Tensor, wanted: Tensor) -> tuple[Tensor, Tensor]:
-    """The rows of `pairs` (P, 2) marked by (P,) bool in the same order, then rows of -1; and their number (1,) int64.
-    Does not synchronise.
-    """
-    to = torch.where(wanted, wanted.cumsum(0) - 1, len(pairs))
-    chosen = pairs.new_full((len(pairs) + 1, 2), -1)
-    chosen[to] = pairs
-    return chosen[:-1], wanted.sum().reshape(1)

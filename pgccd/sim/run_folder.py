@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from pgccd.checkpoint.files import one_line, replace_text
+from pgccd.checkpoint.files import one_line, read_json, replace_text
 from pgccd.checkpoint.lock import FolderError
 from pgccd.checkpoint.regular import read_regular
 from pgccd.sim.checkpoint import find_checkpoint, forget_checkpoints
@@ -49,11 +49,11 @@ def mesh_files(folder: Path) -> list[str] | None:
     """
     path = folder / WORLD_FILE
     try:
-        files = json.loads(read_regular(path, _MOST_BYTES)).get("mesh_files")
+        files = read_json(path, read_regular(path, _MOST_BYTES)).get("mesh_files")
     except FileNotFoundError:
         return None
-    except (OSError, AttributeError, ValueError, RecursionError) as error:
-        raise ValueError(one_line(f"{path} cannot be read: {getattr(error, 'strerror', None) or error}")) from error
+    except OSError as error:
+        raise ValueError(one_line(f"{path} cannot be read: {error.strerror or error}")) from error
     if files is not None and not (isinstance(files, list) and all(isinstance(name, str) for name in files)):
         raise ValueError(one_line(f"{path}: mesh_files: expected a list of file names, got {files!r}"))
     return files or None

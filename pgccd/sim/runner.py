@@ -13,7 +13,7 @@ from typing import Any, Generic, Protocol, TypeVar
 
 import torch
 
-from pgccd.checkpoint.files import KEEP, checked_keep
+from pgccd.checkpoint.files import FOLDER, KEEP, checked_keep, require_writable
 from pgccd.checkpoint.lock import hold
 from pgccd.detection.broad import BroadPhase
 from pgccd.geometry.digest import meshes_digest
@@ -283,6 +283,7 @@ class _OneProcess:
 def _finish(
     machine: _OneProcess, made: int, steps: int, folder: Path, checkpoint_every: int, progress: Progress | None
 ) -> Run:
+    require_writable(folder / FOLDER)
     log = StepLog(folder, made, f"{state_hash(machine.state):016x}")
     made = drive(machine, log, made, steps, checkpoint_every, progress)
     return Run(machine.model, machine.state, made, folder, machine.last_steps.steps, interrupted=made < steps)

@@ -35,6 +35,7 @@ def scattered(count: int, device: torch.device, seed: int = 0) -> tuple[pgccd.Sc
         group=1 + rows % 2,
         mask=torch.full_like(rows, 3),
         self_collision=rows % 3 == 0,
+        exclude=[(k, k + 1) for k in range(0, count - 1, 8)],
     )
     q = [torch.nn.functional.normalize(normal(count, 4), dim=1) for _ in range(2)]
     x = 1.6 * normal(count, 3)
@@ -123,8 +124,11 @@ def test_scenes_of_some_bodies(device: torch.device) -> None:
         assert len(part) > 0
         assert torch.equal(part.pairs + first, inside.pairs) and torch.equal(part.toi, inside.toi)
         assert scene[rows].world_count == (first + 8) // 4
+    assert scene[8:12].exclude.tolist() == [[0, 1]]  # type: ignore[union-attr]
     with pytest.raises(IndexError, match="^rows: expected numbers of 24 rows"):
         scene[[24]]
+    with pytest.raises(ValueError, match="^rows: expected each body at most once"):
+        scene[[3, 3]]
 
 
 def test_the_earliest_of_each_world(device: torch.device) -> None:

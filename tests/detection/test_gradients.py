@@ -11,6 +11,7 @@ from support.gradients import MOTIONS, errors, meshes, random_case
 from torch import Tensor
 
 import pgccd
+from pgccd.motion.differentiable import sum_sorted
 
 UPRIGHT = torch.tensor([[1.0, 0.0, 0.0, 0.0]] * 2, dtype=torch.float64)
 START = torch.tensor([[0.0, 0.0, 0.0], [3.0, 0.3, 0.2]], dtype=torch.float64)
@@ -80,6 +81,28 @@ def test_gradients_pass_through_motions(device: torch.device) -> None:
 
     inputs = [wanting(x.to(device)) for x in (START, 2.0 * (END - START), 2.0 * TURN)]
     assert torch.autograd.gradcheck(by_velocities, inputs, eps=1e-5, atol=1e-6)
+
+
+def test_gradients_pass_through_trajectories(device: torch.device) -> None:
+    """Waypoints, rotations of segments, and margins of segments beside those of bodies."""
+    x = torch.stack([START - 0.1 * (END - START), START, END]).to(device)
+    q = torch.stack([UPRIGHT, UPRIGHT, pgccd.integrate_orientation(UPRIGHT, TURN)]).to(device)
+    turn = torch.stack([torch.zeros_like(TURN), TURN]).to(device)
+
+    def contacts(x: Tensor, margin: Tensor, of_bodies: Tensor) -> Any:
+        trajectory = pgccd.Trajectory(x, q, rotation=turn, margin=margin)
+        hits = pgccd.detect(scene(device, margin=of_bodies), trajectory, tolerance=1e-12)
+        assert bool(hits.differentiable.all()) and len(hits) > 0
+        return hits.toi, hits.time, hits.point
+
+    margins = torch.full((2, 2), 0.01, dtype=torch.float64), torch.full((2,), 0.02, dtype=torch.float64)
+    inputs = [wanting(values.to(device)) for values in (x, *margins)]
+    assert torch.autograd.gradcheck(contacts, inputs, eps=1e-5, atol=1e-6)
+    trajectory = pgccd.Trajectory(x, q, rotation=wanting(turn))
+    pgccd.detect(scene(device), trajectory).toi.sum().backward()
+    assert trajectory.rotation is not None and bool(trajectory.rotation.grad[1].any())
+    with pytest.raises(ValueError, match="^angular_velocity: requires grad"):
+        pgccd.Trajectory.from_velocity(x[0], q[0], turn, wanting(turn), 1.0)
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
@@ -166,6 +189,18 @@ def test_gradients_are_the_same_in_every_run(device: torch.device) -> None:
         seen += torch.autograd.grad((hits.toi * hits.point.sum(1)).sum(), start)
     assert torch.equal(seen[0], seen[1]) and torch.equal(seen[0], seen[2])
     assert float(seen[0][0].abs().sum()) > 0.0
+
+
+def test_sums_are_in_the_order_of_rows(device: torch.device) -> None:
+    random = torch.Generator().manual_seed(5)
+    terms = torch.randn(4000, 3, dtype=torch.float64, generator=random)
+    row = torch.randint(0, 30, (4000,), generator=random)
+    row[row == 7] = 8
+    expected = torch.zeros(30, 3, dtype=torch.float64).index_add_(0, row, terms)
+    found = sum_sorted(terms.to(device), row.to(device), 30)
+    assert torch.allclose(found.cpu(), expected, rtol=1e-12, atol=1e-12) and not found[7].any()
+    assert torch.equal(found, sum_sorted(terms.to(device), row.to(device), 30))
+    assert not sum_sorted(terms[:0].to(device), row[:0].to(device), 4).any()
 
 
 def test_where_there_is_no_derivative(device: torch.device) -> None:

@@ -27,7 +27,7 @@ def ranks() -> Iterator[RankPool]:
     pool.close()
 
 
-@pytest.fixture(params=[1, 2, 3, 4])
+@pytest.fixture(params=[1, pytest.param(2, marks=pytest.mark.slow), 3, 4])
 def world(request: pytest.FixtureRequest, ranks: RankPool) -> World:
-    """Runs world(job, *arguments) on 1, 2, 3 and 4 ranks in turn; returns the results of the ranks."""
+    """Runs world(job, *arguments) on 1, 3 and 4 ranks in turn, on 2 too with `-m slow`; returns the ranks' results."""
     return lambda job, *arguments: ranks.run(request.param, job, *arguments)

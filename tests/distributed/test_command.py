@@ -6,12 +6,12 @@ import os
 import re
 import signal
 import subprocess
-import sys
 import time
 from pathlib import Path
 from typing import Any
 
 import pytest
+from support.forked_job import ForkedJob, command_line, script
 from support.launch import (
     NO_PEER_MEMORY,
     PEER_MEMORY,
@@ -90,11 +90,16 @@ def test_nccl_does_the_same(tmp_path: Path, expected: list[dict[str, Any]]) -> N
     assert hashes(log(tmp_path)) == hashes(expected[:20])
 
 
-@pytest.mark.parametrize("where", WHERE)
-def test_a_scene_of_one_s_own_under_torchrun(where: str) -> None:
-    names = ["on corners of many cells", "faster than cells", "a terrain under all"]
-    done = finish(torchrun(2, str(SUPPORT / "world_job.py"), where, *names))
-    assert done.returncode == 0, done.stdout
+@pytest.mark.parametrize("where", ["forked", pytest.param("cpu", marks=pytest.mark.slow), WHERE[1]])
+def test_a_scene_of_one_s_own_under_torchrun(where: str, tmp_path: Path) -> None:
+    job = [str(SUPPORT / "world_job.py"), "cpu" if where == "forked" else where]
+    job += ["on corners of many cells", "faster than cells", "a terrain under all"]
+    if where == "forked":
+        with ForkedJob(2, tmp_path, script, *job) as started:
+            assert started.finish() == [0, 0], started.said
+    else:
+        done = finish(torchrun(2, *job))
+        assert done.returncode == 0, done.stdout
 
 
 @pytest.mark.cuda
@@ -189,19 +194,19 @@ def test_of_two_machines_one_loses_its_rank(
 
 
 def test_a_signal_to_one_rank_stops_all_after_the_same_step(tmp_path: Path, expected: list[dict[str, Any]]) -> None:
-    started = start_ranks(2, [*SIMULATE, *WORLD, "--steps", "1000", "--out", str(tmp_path)])
-    deadline = time.monotonic() + 100
-    while len(sim.read_log(tmp_path)) < 3:
-        assert all(process.poll() is None for process in started) and time.monotonic() < deadline
-        time.sleep(0.02)
-    started[1].send_signal(signal.SIGINT)
-    outputs = [process.communicate(timeout=180)[0] for process in started]
-    assert [process.returncode for process in started] == [130] * 2, outputs
-    made = len(log(tmp_path))
-    assert "to continue: pgccd simulate --resume" in outputs[0]
-    assert main(["simulate", "--resume", str(tmp_path), "--no-pictures", "--steps", str(made + 1)]) == 0
+    out = tmp_path / "run"
+    with ForkedJob(2, tmp_path / "said", command_line, "simulate", *WORLD, "--steps", "9000", "--out", str(out)) as job:
+        deadline = time.monotonic() + 100
+        while not out.exists() or len(sim.read_log(out)) < 3:
+            assert all(process.is_alive() for process in job.processes) and time.monotonic() < deadline, job.said
+            time.sleep(0.02)
+        os.kill(job.processes[1].pid or 0, signal.SIGINT)
+        assert job.finish() == [130] * 2, job.said
+    made = len(log(out))
+    assert "to continue: pgccd simulate --resume" in job.said
+    assert main(["simulate", "--resume", str(out), "--no-pictures", "--steps", str(made + 1)]) == 0
     compared = min(made + 1, len(expected))
-    assert log(tmp_path)[:compared] == expected[:compared]
+    assert log(out)[:compared] == expected[:compared]
 
 
 @pytest.mark.parametrize("where", WHERE)
@@ -219,31 +224,42 @@ def test_a_signal_to_one_rank_stops_all_after_the_same_step(tmp_path: Path, expe
         ),
     ],
 )
-def test_a_lost_rank_ends_all_and_is_named(fault: str, timeout: float, said: str, where: str) -> None:
+def test_a_lost_rank_ends_all_and_is_named(fault: str, timeout: float, said: str, where: str, tmp_path: Path) -> None:
     """A hanging rank is detected after the time-out, which tolerates a busy machine; other losses much earlier."""
     program = [str(SUPPORT / "faulty_rank.py"), fault, where, str(timeout)]
-    started = start_ranks(3, program if where == "cpu" else over_nccl(3, *program))
-    begin = time.monotonic()
-    outputs = [started[rank].communicate(timeout=180)[0] for rank in (0, 2)]
-    assert fault in ("hangs", "stops") or time.monotonic() - begin < timeout, outputs
-    started[1].kill()  # the stopped rank
-    outputs.append(started[1].communicate()[0])
-    assert all(process.returncode != 0 for process in started)
-    message = said.format(pid=started[1].pid, host=os.uname().nodename)
-    for output in outputs[:2]:
+    if where == "cpu":
+        with ForkedJob(3, tmp_path, script, *program) as job:
+            begin = time.monotonic()
+            for rank in (0, 2):
+                job.processes[rank].join(180.0)
+            assert fault in ("hangs", "stops") or time.monotonic() - begin < timeout, job.said
+            processes, outputs = [process.pid for process in job.processes], [job.said_by(rank) for rank in (0, 2)]
+        codes = [process.exitcode for process in job.processes]
+    else:
+        started = start_ranks(3, over_nccl(3, *program))
+        begin = time.monotonic()
+        outputs = [started[rank].communicate(timeout=180)[0] for rank in (0, 2)]
+        assert fault in ("hangs", "stops") or time.monotonic() - begin < timeout, outputs
+        started[1].kill()  # the stopped rank
+        started[1].communicate()
+        processes, codes = [process.pid for process in started], [process.returncode for process in started]
+    assert 0 not in codes and None not in codes
+    message = said.format(pid=processes[1], host=os.uname().nodename)
+    for output in outputs:
         assert message in output, outputs
 
 
-def test_a_busy_interpreter_is_waited_for() -> None:
-    started = start_ranks(3, [str(SUPPORT / "faulty_rank.py"), "busy", "cpu", "60"])
-    outputs = [process.communicate(timeout=180)[0] for process in started]
-    assert [process.returncode for process in started] == [0, 0, 0], outputs
-    assert outputs == [""] * 3
+def test_a_busy_interpreter_is_waited_for(tmp_path: Path) -> None:
+    with ForkedJob(3, tmp_path, script, str(SUPPORT / "faulty_rank.py"), "busy", "cpu", "60") as job:
+        assert job.finish() == [0, 0, 0] and job.said == "", job.said
+
+
+def with_another_number(out: str) -> int:
+    return command_line("simulate", "--robots", str(100 + int(os.environ["RANK"])), "--steps", "3", "--out", out)
 
 
 def test_ranks_started_with_different_things_all_fail_at_once(tmp_path: Path) -> None:
-    shell = f'exec "$PYTHON" -m pgccd simulate --robots $((100 + RANK)) --steps 3 --out {tmp_path}'
-    done = finish(torchrun(2, "--no-python", "bash", "-c", shell), PYTHON=sys.executable)
-    assert done.returncode != 0
-    assert re.search(r"pgccd simulate: error: --robots: rank 0 has 100, rank 1 has 101", done.stdout), done.stdout
-    assert not (tmp_path / "steps.jsonl").exists()
+    with ForkedJob(2, tmp_path / "said", with_another_number, str(tmp_path / "run")) as job:
+        assert job.finish() == [2, 2], job.said
+    assert "pgccd simulate: error: --robots: rank 0 has 100, rank 1 has 101" in job.said, job.said
+    assert not (tmp_path / "run" / "steps.jsonl").exists()

@@ -69,12 +69,15 @@ def find(
     device: torch.device = torch.device("cpu"),  # noqa: B008
     neighbours_above: int = 32,
 ) -> list[tuple[int, int]]:
-    """Compares all reports with one process; returns the numbers of pairs and ghosts of this rank, per assignment."""
+    """Compares all reports with one process, with cells of random owners, and once with the uniform ones; returns the
+    numbers of pairs and ghosts of this rank, per assignment.
+    """
     comm.neighbours_above, seen = neighbours_above, []
     for index, report in enumerate(REPORTS):
         whole = by_one_process(name, report)
-        for seed in (0, 1 + index) if comm.size > 1 else (0,):
-            world, ids = share(comm, name, report, seed, (seed > 0) == (index % 2 == 0), device)
+        seeds = (0, 1) if index == 0 else (1 + index,)
+        for seed in seeds if comm.size > 1 else (0,):
+            world, ids = share(comm, name, report, seed, seed % 2 == 1, device)
             mine = world.payload
             motion = pgccd.RigidMotion.from_velocity(
                 world.position, mine["orientation"], mine["velocity"], mine["rotation"], dt=1.0
@@ -214,7 +217,8 @@ def disagree(comm: Comm) -> list[str]:
         messages.append(str(caught.value))
     # Equal values of other types.
     corner = torch.full((3,), 8.0) if odd else (8,) * 3
-    SharedWorld.create([mesh], (0,) * 3, corner, position, cells=[4] * 3 if odd else (4, 4, 4), comm=comm)
+    alike: dict[str, Any] = {"cells": [4] * 3 if odd else (4, 4, 4), "comm": comm}
+    SharedWorld.create([mesh], (0,) * 3, corner, position + comm.rank, **alike)
     with pytest.raises(ValueError, match="^meshes: rank 0 has .*, rank 1 has"):
         other = pgccd.Mesh(mesh.vertices * 2.0, mesh.faces)
         SharedWorld.create([other if odd else mesh], (0.0,) * 3, (8.0,) * 3, position, comm=comm)
@@ -238,7 +242,7 @@ def test_ranks_that_disagree_fail_together(ranks: World) -> None:
 
 
 def move_differently(comm: Comm) -> str:
-    mesh, still = crowds()["one body"].meshes[0], torch.zeros((1, 3)).double()
+    mesh, still = crowds()["one body"].meshes[0], torch.full((1, 3), 1.0 + comm.rank).double()
     upright = torch.tensor([[1.0, 0.0, 0.0, 0.0]]).double()
     world = SharedWorld.create([mesh], (0.0,) * 3, (8.0,) * 3, still, comm=comm)
     motion: Any = pgccd.RigidMotion(still, upright, still, upright)

@@ -255,7 +255,7 @@ def test_same_bits_as_one_process(world: World, name: str, policy: str, random_o
 def test_same_bits_as_replays(world: World, name: str, policy: str, padding: str) -> None:
     """Steps in which one rank needs more rounds or capacity are repeated by all ranks."""
     # Without padding nearly every step is repeated.
-    seen = world(follow_replayed, name, policy, 36 if padding == "usual" else 16, policy == "none", padding)
+    seen = world(follow_replayed, name, policy, 24 if padding == "usual" else 16, policy == "none", padding)
     assert seen[0]["replayed"] > 3 or (padding == "none" and len(seen) > 1)
     # Without messages of peers a rank does not know whether others need a round.
     assert all((rank["skipped"] > 0) == (len(seen) == 1) for rank in seen)

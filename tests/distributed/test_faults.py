@@ -221,6 +221,24 @@ def test_a_folder_that_cannot_be_written(launcher: str, tmp_path: Path) -> None:
     assert re.search(r"pgccd simulate: error: .*/proc/run", done.stdout), done.stdout
 
 
+@pytest.mark.parametrize("what", ["the folder", "its checkpoints"])
+def test_a_read_only_folder(what: str, tmp_path: Path) -> None:
+    """A run goes on only if it could write a checkpoint; permissions do not bind root, a read-only mount does."""
+    sim.run(sim.ModelConfig(robots=30, seed=4), 3, tmp_path / "run")
+    mounted = tmp_path / "run"
+    if what == "its checkpoints":  # on another disk
+        mounted = (tmp_path / "run" / "checkpoints").rename(tmp_path / "disk")
+        (tmp_path / "run" / "checkpoints").symlink_to(mounted)
+    mount = f"mount --bind {mounted} {mounted} && mount -o remount,ro,bind {mounted}"
+    if subprocess.run(["unshare", "--mount", "sh", "-c", mount], capture_output=True).returncode:
+        pytest.skip("no mounts")
+    program = torchrun(2, *SIMULATE, "--resume", str(tmp_path / "run"), "--steps", "5", "--no-pictures")
+    done = finish(["unshare", "--mount", "sh", "-c", f"{mount} && exec {shlex.join(program)}"])
+    assert done.returncode != 0
+    assert len(re.findall("pgccd simulate: error: .*: Read-only file system", done.stdout)) == 1, done.stdout
+    assert len(sim.read_log(tmp_path / "run")) == 3
+
+
 @pytest.mark.parametrize("started_by", ["torchrun", "srun"])
 def test_other_machines_cannot_connect(started_by: str) -> None:
     """With all ranks on one machine. Under mpirun the MPI library itself listens on all interfaces."""

@@ -407,6 +407,52 @@ def test_a_flood_of_connections(incomplete: Ranks, exits: list[int], monkeypatch
     channel_of_last.close()
 
 
+def test_half_greetings_do_not_keep_ranks_out(
+    incomplete: Ranks, exits: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each stranger sends a part of a line, or all that is allowed of one, and stays."""
+    monkeypatch.setattr(hub, "_MOST_GREETINGS", 8)
+    address, strangers = ("127.0.0.1", incomplete.hub.port), []
+    for k in range(60):
+        one = socket.create_connection(address, timeout=5.0)
+        with contextlib.suppress(OSError):
+            one.sendall([b'{"who": {"rank": 3', b"{", b"x" * 60_000, '{"who"'.encode("utf-16")][k % 4])
+        strangers.append(one)
+    last = join(address, TOKEN, {"rank": 3, "name": "late"}, 20.0)
+    assert incomplete.hub.is_complete.wait(5.0) and incomplete.hub._thread.is_alive() and exits == []
+    for one in [*strangers, last]:
+        one.close()
+
+
+def test_a_greeting_counts_once(incomplete: Ranks, exits: list[int]) -> None:
+    """What a rank has sent, and what the hub itself sends, are no proof on another connection."""
+    recorded: list[bytes] = []
+
+    def relay(listener: socket.socket) -> None:
+        """A stranger between a rank and the hub, who records what the rank sends."""
+        with (
+            listener.accept()[0] as rank,
+            socket.create_connection(("127.0.0.1", incomplete.hub.port)) as to_hub,
+        ):
+            rank.sendall(to_hub.recv(4096))
+            recorded.append(rank.recv(65536))
+
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        thread = threading.Thread(target=relay, args=(listener,))
+        thread.start()
+        with pytest.raises(RuntimeError, match="^guard: no connection"):
+            join(listener.getsockname(), TOKEN, {"rank": 3, "name": "late"}, 1.0)
+        thread.join()
+    assert b'"rank": 3' in recorded[0] and TOKEN not in recorded[0]
+    for reflects in (False, True):
+        with socket.create_connection(("127.0.0.1", incomplete.hub.port), timeout=5.0) as stranger:
+            nonce = json.loads(stranger.recv(4096))["nonce"]
+            sent = json.loads(recorded[0]) | ({"nonce": nonce} if reflects else {})
+            stranger.sendall(json.dumps(sent).encode() + b"\n")
+            assert json.loads(stranger.recv(4096)) == {"refused": True}
+    assert incomplete.hub.missing() == [3] and exits == []
+
+
 def test_a_hub_that_may_open_no_more_files(
     incomplete: Ranks, exits: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -5,15 +5,18 @@ from __future__ import annotations
 import os
 import re
 from datetime import timedelta
+from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 import torch.distributed as dist
-from support.launch import SUPPORT, finish, start_ranks, torchrun
+from support.forked_job import ForkedJob, script
+from support.launch import SUPPORT
 
 from pgccd.distributed import Placement, choose_device, connect, find_placement
 from pgccd.distributed.comm import nccl
+from pgccd.distributed.launch.connect import Transport
 
 
 @pytest.mark.parametrize(
@@ -100,22 +103,30 @@ def test_the_guard_alone_ends_what_waits_for_nccl(monkeypatch: pytest.MonkeyPatc
     assert os.environ.get(name) == before
 
 
-def test_process_groups_of_the_user() -> None:
-    done = finish(torchrun(3, str(SUPPORT / "group_job.py")))
-    assert done.returncode == 0 and done.stdout.count("is done") == 3, done.stdout
+def test_process_groups_of_the_user(tmp_path: Path) -> None:
+    with ForkedJob(3, tmp_path, script, str(SUPPORT / "group_job.py")) as started:
+        assert started.finish() == [0] * 3 and started.said.count("is done") == 3, started.said
+
+
+def connect_with(variables: dict[str, str], transport: Transport) -> None:
+    os.environ |= variables
+    connect(transport=transport, timeout=30.0)
 
 
 @pytest.mark.parametrize(
-    ("variables", "said"),
+    ("transport", "variables", "said"),
     [
-        ({"GLOO_SOCKET_IFNAME": "eth99"}, r"rank 0: GLOO_SOCKET_IFNAME: \S+ has no interface 'eth99', but .*lo"),
-        ({"CUDA_VISIBLE_DEVICES": ""}, "rank 0: transport: 'nccl' needs a GPU and a torch that was built with NCCL"),
+        (
+            "gloo",
+            {"GLOO_SOCKET_IFNAME": "eth99"},
+            r"rank 0: GLOO_SOCKET_IFNAME: \S+ has no interface 'eth99', but .*lo",
+        ),
+        ("nccl", {"CUDA_VISIBLE_DEVICES": ""}, "rank 0: transport: 'nccl' needs a GPU and a torch that was built with"),
     ],
 )
-def test_what_ranks_cannot_use_is_named(variables: dict[str, str], said: str) -> None:
-    transport = "gloo" if "GLOO_SOCKET_IFNAME" in variables else "nccl"
-    code = f"from pgccd.distributed import connect; connect(transport={transport!r}, timeout=30.0)"
-    started = start_ranks(2, ["-c", code], **variables)
-    for process in started:
-        assert re.search(said, process.communicate(timeout=100)[0])
-        assert process.returncode != 0
+def test_what_ranks_cannot_use_is_named(
+    transport: Transport, variables: dict[str, str], said: str, tmp_path: Path
+) -> None:
+    with ForkedJob(2, tmp_path / "said", connect_with, variables, transport) as started:
+        assert started.finish() == [1, 1], started.said
+    assert len(re.findall(f"DisagreementError: {said}", started.said)) == 2, started.said

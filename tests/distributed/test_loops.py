@@ -20,7 +20,7 @@ from pgccd.distributed import Alone, Comm
 from pgccd.distributed.world import captured as captured_world
 
 PAGE = ROOT / "docs" / "how-to" / "cluster.md"
-DOCUMENTS = [ROOT / "examples" / "04_many_ranks.py", PAGE]
+DOCUMENTS = [ROOT / "examples" / "04_many_ranks.py", ROOT / "examples" / "08_impulses.py", PAGE]
 Rows = list[list[float]]
 
 
@@ -40,7 +40,7 @@ def follow(comm: Comm, document: Path, folder: str, graph: bool = False, device:
         names = run_document(document, old, new)
     world = names["world"]
     columns = [world.id[:, None], world.position, *(world.payload[name] for name in sorted(world.payload))]
-    rows = torch.cat([column.double() for column in columns], dim=1).tolist()
+    rows = torch.cat([column.double().view(len(world.id), -1) for column in columns], dim=1).tolist()
     return sorted(sum(to_all(comm, rows), [])), sum(step.replayed for step in names.get("steps", []))
 
 

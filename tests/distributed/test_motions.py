@@ -198,7 +198,8 @@ def turning(rows: torch.Tensor) -> pgccd.Trajectory:
     orientation = torch.randn((5, COUNT, 4), generator=generator, dtype=torch.float64)
     orientation[:, -1] = torch.tensor([1.0, 0.0, 0.0, 0.0], dtype=torch.float64)
     orientation /= orientation.norm(dim=2, keepdim=True)
-    return pgccd.Trajectory((bodies()["position"] + steps)[:, rows], orientation[:, rows])
+    margin = 0.1 * torch.rand((4, COUNT), generator=generator, dtype=torch.float64)
+    return pgccd.Trajectory((bodies()["position"] + steps)[:, rows], orientation[:, rows], margin=margin[:, rows])
 
 
 @functools.cache
@@ -217,8 +218,10 @@ def follow(comm: Comm, report: str, deforms: bool, device: torch.device = torch.
             trajectory = pgccd.Trajectory(mine.to(device))
         else:
             waypoints = turning(rows)
-            assert waypoints.orientation is not None
-            trajectory = pgccd.Trajectory(waypoints.position.to(device), waypoints.orientation.to(device))
+            assert waypoints.orientation is not None and waypoints.margin is not None
+            columns = (waypoints.position, waypoints.orientation, waypoints.margin)
+            x, q, margin = (column.to(device) for column in columns)
+            trajectory = pgccd.Trajectory(x, q, margin=margin)
         found = world.step(trajectory)
         assert type(found) is (pgccd.CollidingPairs if report == "any" else TrajectoryContacts)
         require_equal(world, found, whole, report)
@@ -244,6 +247,7 @@ def mistakes(comm: Comm) -> list[str]:
         pgccd.VertexMotion(x[:-1], x[:-1]),
         pgccd.Trajectory(torch.stack([x[:-1]] * 2)),
         pgccd.Trajectory(torch.stack([x] * (2 + comm.rank))),
+        pgccd.Trajectory(torch.stack([x] * 2), margin=torch.zeros(1, len(world.id)) if comm.rank else None),
         x,
     ]
     for motion in wrong:
@@ -285,8 +289,9 @@ def test_mistakes_are_named(ranks: World) -> None:
         assert "motion: has" in said[0] and "vertices, this rank owns" in said[0]
         assert "vertices, this rank owns" in said[1]
         assert said[2] == "motion: ranks have [1, 2] segments"
-        assert said[3].startswith("motion: expected a pgccd.RigidMotion, VertexMotion or Trajectory")
-        assert said[4].startswith("x: expected (") and said[5].startswith("y: not a payload of this world")
+        assert said[3] == "margin: expected a margin of the trajectory on all ranks or on none"
+        assert said[4].startswith("motion: expected a pgccd.RigidMotion, VertexMotion or Trajectory")
+        assert said[5].startswith("x: expected (") and said[6].startswith("y: not a payload of this world")
 
 
 def look_at_all(comm: Comm) -> bool:

@@ -2,23 +2,33 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
 import re
+import signal
 import socket
+import subprocess
 import sys
+import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch.distributed as dist
-from support.launch import SECONDS, finish, free_port, start_ranks, torchrun
+from support.forked_job import ForkedJob, command_line, forkserver
+from support.launch import children, environment, free_port, torchrun
 
+from pgccd.distributed import connect
 from pgccd.distributed.guard import Hub
 from pgccd.distributed.launch import interfaces, rendezvous
+from pgccd.distributed.launch.connect import _start_guard
 from pgccd.distributed.launch.placement import Placement
 from pgccd.distributed.launch.rendezvous import agree_on_start, first_host, meet
+from pgccd.distributed.launch.token import share_token
 
 SIZE = 4
 
@@ -231,20 +241,125 @@ def test_a_silent_program_on_the_port(monkeypatch: pytest.MonkeyPatch) -> None:
             meet(Placement("torchrun", 1, 2, 1), 1.0)
 
 
-def test_a_token_on_some_ranks_only_is_named(tmp_path: Path) -> None:
-    shell = '[ "$RANK" = 1 ] && export PGCCD_JOB_TOKEN=secret; exec "$PYTHON" -m pgccd simulate --robots 9 --steps 1'
-    command = torchrun(2, "--no-python", "bash", "-c", f"cd {tmp_path}; {shell} --timeout 20")
-    done = finish(command, PYTHON=sys.executable)
-    expected = "pgccd simulate: error: PGCCD_JOB_TOKEN: rank 0 has none, rank 1 has a value"
-    assert done.returncode != 0 and expected in done.stdout, done.stdout
+def keep_store(pipe: Connection) -> None:
+    """Of an agent: serves until it is killed."""
+    store = dist.TCPStore("127.0.0.1", 0, None, True, wait_for_workers=False)
+    pipe.send(store.port)
+    pipe.recv()
 
 
-def test_tokens_that_differ_end_all_ranks_before_the_time_out(tmp_path: Path) -> None:
-    token = "os.environ['PGCCD_JOB_TOKEN'] = 'secret' + os.environ['RANK']"
-    code = f"import os; {token}; from pgccd.__main__ import run; raise SystemExit(run())"
-    options = ["--robots", "9", "--steps", "1", "--timeout", "9999", "--out", str(tmp_path)]
-    ranks = start_ranks(3, ["-c", code, "simulate", *options])  # torchrun would end all when one fails
-    printed = [rank.communicate(timeout=SECONDS)[0] for rank in ranks]
-    assert [rank.returncode for rank in ranks] == [2, 2, 2], printed
-    expected = r"pgccd simulate: error: rank 1: guard: .* is PGCCD_JOB_TOKEN the same on all\?"
-    assert re.search(expected, printed[0]), printed
+def test_an_agent_that_dies_while_ranks_meet(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With it the store that it keeps: at once, not after the time-out."""
+    ours, theirs = forkserver().Pipe()
+    agent = forkserver().Process(target=keep_store, args=(theirs,), daemon=True)
+    agent.start()
+    port = ours.recv()
+    placed(
+        monkeypatch,
+        "torchrun",
+        MASTER_ADDR="127.0.0.1",
+        MASTER_PORT=str(port),
+        TORCHELASTIC_USE_AGENT_STORE="True",
+    )
+    killing = threading.Timer(0.5, agent.kill)
+    killing.start()
+    begin = time.monotonic()
+    expected = (
+        rf"^MASTER_ADDR: the store at 127.0.0.1, port {port} \(MASTER_ADDR, MASTER_PORT\) is lost: torchrun's agent"
+    )
+    for rank in (0, 1):  # that waits for another, and one that waits for rank 0; or when all has ended
+        with pytest.raises(RuntimeError, match=expected if rank == 0 else "^MASTER_ADDR: "):
+            meet(Placement("torchrun", rank, 2, rank), 300.0 if rank == 0 else 1.0)
+    assert time.monotonic() - begin < 30.0
+
+
+def orphaned_job() -> None:
+    """Rank 1 does not come, and the process that launched rank 0 dies meanwhile."""
+    if os.environ["RANK"] == "0":
+        os.environ["TORCHELASTIC_RUN_ID"] = "run"
+        parent = os.getppid()
+        began = time.monotonic()
+        os.getppid = lambda: parent if time.monotonic() < began + 1.0 else 1  # type: ignore[assignment]
+        connect("cpu", "gloo", timeout=300.0)
+
+
+def test_a_rank_whose_agent_dies_while_it_waits_for_others(tmp_path: Path) -> None:
+    with ForkedJob(2, tmp_path / "said", orphaned_job) as started:
+        assert started.finish(30.0) == [70, 0], started.said
+    expected = (
+        r"^pgccd: rank 0 ends: torchrun's agent, process \d+, which launched it, has died while the ranks connected"
+    )
+    assert re.match(expected + r" \(MASTER_ADDR=127.0.0.1 MASTER_PORT=\d+\)\n$", started.said), started.said
+
+
+@pytest.mark.slow
+def test_torchrun_is_killed_while_its_ranks_meet() -> None:
+    job = (
+        "import os, time; from pgccd.distributed import connect; time.sleep(99.0 * int(os.environ['RANK'])); connect()"
+    )
+    process = subprocess.Popen(
+        torchrun(2, "--no-python", sys.executable, "-c", f"print('begins', flush=True); {job}"),
+        env=environment(),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    assert process.stdout is not None
+    while "begins" not in process.stdout.readline():
+        assert process.poll() is None
+    time.sleep(8.0)
+    ranks = children(process.pid)
+    begin = time.monotonic()
+    process.kill()
+    said = ""
+    for line in process.stdout:
+        said += line
+        if "torchrun's agent" in line:
+            break
+    for rank in ranks:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(rank, signal.SIGKILL)  # rank 1 would sleep on
+    process.wait()
+    assert time.monotonic() - begin < 30.0 and "MASTER_ADDR" in line, said
+
+
+def test_a_store_that_a_stranger_has_written_to(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Each value ends the job in one line."""
+    monkeypatch.setenv("PGCCD_JOB_TOKEN", "secret")
+    for port in ("x", "99999999", "-1", "1" * 5000, "\0", "\ud7ff", ""):
+        store = dist.HashStore()
+        store.set("guard/port", port)
+        meeting = rendezvous.Meeting(store, "127.0.0.1", True, "here")
+        with pytest.raises(RuntimeError, match="^guard: the port of rank 0 in the store has been overwritten") as said:
+            _start_guard(meeting, Placement("torchrun", 1, 2, 1), 1.0)
+        assert len(str(said.value).splitlines()) == 1 and len(str(said.value)) < 300
+    monkeypatch.delenv("PGCCD_JOB_TOKEN")
+    for path in ("\0", "x" * 5000, "/dev/zero", "/proc/self/mem", str(tmp_path)):
+        store = dist.HashStore()
+        store.set("token/file", path)
+        with pytest.raises(RuntimeError, match="^token: .* of rank 0 is no private file"):
+            share_token(store, Placement("torchrun", 1, 2, 1, True), 1.0)
+
+
+def with_a_token(of_rank: dict[str, str], *arguments: str) -> int:
+    """`pgccd` on a rank with a token of its own, or none."""
+    os.environ.pop("PGCCD_JOB_TOKEN", None)
+    if os.environ["RANK"] in of_rank:
+        os.environ["PGCCD_JOB_TOKEN"] = of_rank[os.environ["RANK"]]
+    return command_line(*arguments)
+
+
+@pytest.mark.parametrize(
+    ("tokens", "expected"),
+    [
+        ({"1": "secret"}, "PGCCD_JOB_TOKEN: rank 0 has none, rank 1 has a value"),
+        ({str(k): f"secret{k}" for k in range(3)}, r"rank 1: guard: .* is PGCCD_JOB_TOKEN the same on all\?"),
+    ],
+)
+def test_tokens_that_differ_end_all_ranks_before_the_time_out(
+    tokens: dict[str, str], expected: str, tmp_path: Path
+) -> None:
+    options = ["--robots", "9", "--steps", "1", "--timeout", "9999", "--out", str(tmp_path / "run")]
+    with ForkedJob(3, tmp_path / "said", with_a_token, tokens, "simulate", *options) as started:
+        assert started.finish() == [2, 2, 2], started.said
+    assert re.search(f"pgccd simulate: error: {expected}", started.said), started.said

@@ -13,7 +13,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from support.launch import ROOT, SECONDS, environment
+from support.launch import ROOT, SECONDS, environment, mpirun
+from support.launch import finish as run_to_end
 
 from pgccd import sim
 
@@ -132,6 +133,35 @@ def test_ranks_of_torchrun(backend: str, hosts: None, tmp_path: Path) -> None:
     said = finish(started)
     assert [process.returncode for process in started] == [0, 0], said
     require_same(tmp_path / "run", tmp_path / "alone")
+
+
+# What mpirun starts in place of ssh: options, an address, and a command.
+REMOTE = """#!/bin/bash
+while [[ "$1" == -* ]]; do shift; done
+address=$1; shift
+[ "$address" = {address} ] && host=0 || host=1
+names=({names})
+exec ip netns exec "${{names[$host]}}" unshare --uts sh -c "hostname node$host; $*"
+"""
+
+
+@pytest.mark.parametrize("transport", ["auto", "mpi4py"])
+def test_ranks_of_mpirun(transport: str, hosts: None, tmp_path: Path) -> None:
+    remote, out = tmp_path / "remote", tmp_path / "run"
+    remote.write_text(REMOTE.format(address=IPV4[0], names=" ".join(HOSTS)))
+    remote.chmod(0o700)
+    job = ["-m", "pgccd", *SIMULATE, "--steps", "4", "--timeout", "60", "--transport", transport, "--out", str(out)]
+    command = mpirun(2, *job)
+    at = command.index("-n")
+    if "hydra" not in subprocess.run([command[at - 1], "--version"], capture_output=True, text=True).stdout.lower():
+        pytest.skip("not the mpirun of MPICH")
+    command[at:at] = ["-launcher", "ssh", "-launcher-exec", str(remote), "-localhost", IPV4[0]]
+    command[at:at] = ["-hosts", ",".join(IPV4), "-ppn", "1"]
+    done = run_to_end(["ip", "netns", "exec", HOSTS[0], *command])
+    assert done.returncode == 0, done.stdout
+    require_same(out, tmp_path / "alone")
+    # One rank on each host, which find each other without a file that they share.
+    assert all(len(line["ranks"]["pcs"]) == 2 for line in sim.read_log(out))
 
 
 def test_a_host_that_is_lost(hosts: None, tmp_path: Path) -> None:

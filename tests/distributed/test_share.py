@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import gc
 import weakref
 from dataclasses import replace
@@ -34,6 +35,7 @@ def without_times(record: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in record.items() if "seconds" not in name and name != "ranks"}
 
 
+@functools.cache
 def by_one_process() -> list[dict[str, Any]]:
     model = sim.Model(CONFIG)
     state, records = model.start(), []

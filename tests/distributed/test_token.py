@@ -5,15 +5,14 @@ from __future__ import annotations
 import os
 import re
 import stat
-import subprocess
-import sys
 import warnings
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 import torch.distributed as dist
-from support.launch import SECONDS, environment, free_port
+from support.forked_job import ForkedJob, command_line
+from support.launch import free_port
 
 from pgccd.distributed.launch import private_files, token
 from pgccd.distributed.launch.placement import Placement
@@ -139,31 +138,27 @@ def test_ranks_that_do_not_come(cache: Path) -> None:
     assert list(cache.iterdir()) == []
 
 
+def of_slurm(folder: str, variables: dict[str, str]) -> int:
+    """`pgccd` as a rank of Slurm; rank 1 can read no file of the user."""
+    rank = os.environ.pop("RANK")
+    for name in ("WORLD_SIZE", "LOCAL_RANK", "LOCAL_WORLD_SIZE", "MASTER_ADDR", "MASTER_PORT"):
+        del os.environ[name]
+    os.environ |= {"SLURM_PROCID": rank, "SLURM_STEP_NUM_TASKS": "2", "SLURM_STEP_NUM_NODES": "2"}
+    os.environ |= {"SLURM_STEP_NODELIST": "127.0.0.1", "SLURM_JOB_ID": "88", "SLURM_STEP_ID": "0", "SLURM_LOCALID": "0"}
+    os.environ |= {"XDG_CACHE_HOME": f"{folder}/{rank}", **variables}
+    token._SEEN_WITHIN = 0.1
+    if rank == "1":
+        token._read = lambda path: b""  # type: ignore[assignment]
+    return command_line("simulate", "--robots", "9", "--steps", "1", "--timeout", "4", "--out", f"{folder}/out")
+
+
 @pytest.mark.parametrize("knows_port", [True, False])
 def test_a_stranger_in_the_place_of_a_rank(knows_port: bool, tmp_path: Path) -> None:
     """It knows Slurm's variables, and can read no file of the user."""
-    variables = {"SLURM_STEP_NUM_TASKS": "2", "SLURM_STEP_NUM_NODES": "2", "SLURM_STEP_NODELIST": "127.0.0.1"}
-    variables |= {"SLURM_JOB_ID": "88", "SLURM_STEP_ID": "0", "SLURM_LOCALID": "0"}
-    variables |= {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(free_port())} if knows_port else {}
-    job = ["simulate", "--robots", "9", "--steps", "1", "--timeout", "8", "--out", str(tmp_path / "out")]
-    blind = (
-        "import os, sys; from pgccd import cli; from pgccd.distributed.launch import token; token._SEEN_WITHIN = 0.1\n"
-    )
-    blind += "if os.environ['SLURM_PROCID'] == '1': token._read = lambda path: b''\n"
-    started = [
-        subprocess.Popen(
-            [sys.executable, "-c", blind + f"sys.exit(cli.main({job!r}))"],
-            env=environment(**variables, SLURM_PROCID=str(rank), XDG_CACHE_HOME=str(tmp_path / str(rank))),
-            cwd=tmp_path,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-        )
-        for rank in range(2)
-    ]
-    said = [process.communicate(timeout=SECONDS)[0] for process in started]
-    assert all(process.returncode != 0 for process in started), said
+    variables = {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(free_port())} if knows_port else {}
+    with ForkedJob(2, tmp_path / "said", of_slurm, str(tmp_path), variables) as started:
+        codes, said = started.finish(), started.said
+    assert 0 not in codes and None not in codes, said
     assert not (tmp_path / "out" / "steps.jsonl").exists()
-    expected = "is no private file of this user" if knows_port else "ranks [1] of 2 did not connect within 8 s"
-    assert expected in said[0], said
-    assert "Traceback" not in said[0], said
+    expected = "is no private file of this user" if knows_port else "ranks [1] of 2 did not connect within 4 s"
+    assert expected in said and "Traceback" not in said, said

@@ -105,11 +105,12 @@ def same_told(of_ranks: list[str]) -> str:
     return said
 
 
-def test_any_change_is_refused_in_one_line_or_makes_no_difference(tmp_path: Path) -> None:
+@pytest.mark.parametrize("count", [500, pytest.param(2_000, marks=pytest.mark.slow)])
+def test_any_change_is_refused_in_one_line_or_makes_no_difference(tmp_path: Path, count: int) -> None:
     world, refused = begin(Alone()), 0
     world.save(tmp_path)
     expected = state_of(world)
-    for _ in changes_by_chance(tmp_path, 2_000):
+    for _ in changes_by_chance(tmp_path, count):
         try:
             found = load(Alone(), tmp_path)
         except CheckpointError as error:
@@ -117,7 +118,7 @@ def test_any_change_is_refused_in_one_line_or_makes_no_difference(tmp_path: Path
             assert str(tmp_path) in str(error) and len(str(error).splitlines()) == 1
         else:
             assert state_of(found) == expected
-    assert refused > 1_800
+    assert refused > 0.9 * count
 
 
 @pytest.mark.parametrize("name", ["index.json", "rank-00000.safetensors", "rank-00001.safetensors"])

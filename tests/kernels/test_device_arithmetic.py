@@ -19,7 +19,9 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 import pgccd
 import pgccd.distributed
-from pgccd import sim
+from pgccd import robots, sim
+from pgccd.robots import shapes
+from pgccd.robots.kinematics import Joint, Tree
 
 #: Operations of torch with one correct result, or none to round.
 EXACT = """
@@ -84,6 +86,25 @@ def every_report(case: Callable[[], tuple[pgccd.Scene, Any]]) -> None:
             hits.earliest()
 
 
+def turning() -> None:
+    scene, motion = rigid()
+    rates = torch.from_numpy(np.random.default_rng(0).random((4, 6, 3)))
+    start = motion.position_t0, motion.orientation_t0
+    path = pgccd.Trajectory.from_velocity(*start, rates, 9.0 * rates, 0.3, margin=0.1 * rates[:, :, 0])
+    pgccd.detect(scene, path)
+
+
+def arms() -> None:
+    along_x, z, upright = np.array([0.5, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0, 0.0])
+    joints = [Joint("", "fixed", -1, 0.0 * z, upright, z)]
+    joints += [Joint(str(k), kind, k, along_x, upright, z, k) for k, kind in enumerate(("revolute", "prismatic"))]  # type: ignore[arg-type]
+    links = [(str(k), k + 1, [shapes.box(np.full(3, 0.2))]) for k in range(2)]
+    robot = robots.Robot("arm", Tree(joints), links, ["0", "1"], [(-1.0, 1.0)] * 2, [])
+    obstacles = robots.Obstacles([pgccd.Mesh.box([0.2] * 3)], torch.tensor([[1.0, 0.5, 0.1]]))
+    robot.certify(torch.tensor([[[0.0, 0.0], [1.5, 0.3], [0.0, 0.0]]], dtype=torch.float64), obstacles)
+    robot.trajectory(torch.tensor([[0.0, 0.0], [0.5, 0.3]], dtype=torch.float64))
+
+
 def padded() -> None:
     scene, motion = rigid()
     needed = pgccd.detect(scene, motion, "all").stats.needed
@@ -124,6 +145,8 @@ CALLS = {
     "rigid": lambda: every_report(rigid),
     "deforming": lambda: every_report(deforming),
     "trajectory": lambda: every_report(along),
+    "turning": turning,
+    "arms": arms,
     "padded": padded,
     "motions": motions,
     "distributed": distributed,

@@ -164,7 +164,7 @@ def test_opcheck(device: torch.device) -> None:
     seen: dict[str, int] = {}
     for name, arguments in calls:
         seen[name] = seen.get(name, 0) + 1
-        if seen[name] <= 4 or seen[name] % 5 == 0:
+        if seen[name] <= 2 or seen[name] % 10 == 0:
             operator = getattr(torch.ops.pgccd, name).default
             torch.library.opcheck(operator, arguments, test_utils=("test_schema", "test_faketensor"))
     unequal = {"refit"}  # empty slots hold NaN, which opcheck finds unequal
@@ -187,7 +187,11 @@ def test_fake_kernels_have_the_right_shapes(device: torch.device) -> None:
     from torch._subclasses.fake_tensor import FakeTensorMode
     from torch.fx.experimental.symbolic_shapes import ShapeEnv
 
+    seen: dict[str, int] = {}
     for name, arguments in recorded(device):
+        seen[name] = seen.get(name, 0) + 1
+        if seen[name] > 4 and seen[name] % 5:
+            continue
         operator = getattr(torch.ops.pgccd, name).default
         real = shapes(operator(*arguments))
         with FakeTensorMode(shape_env=ShapeEnv(), allow_non_fake_inputs=False) as mode:

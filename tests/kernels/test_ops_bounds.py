@@ -5,16 +5,14 @@ Run in a separate process, so that a crash is a test failure.
 
 from __future__ import annotations
 
-import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
-
-TESTS = Path(__file__).resolve().parents[1]
+from support.forked_job import ForkedJob
 
 # Operator, argument (and list element), name in the error message: indices that must be validated.
 INDICES = [
@@ -71,7 +69,6 @@ LENGTHS += (
     "lower_first_toi_rigid",
 )
 LENGTHS += ("detect_rigid", "reached_ranks", "vertex_face", "edge_edge", "voxels_touched", "voxel_boxes")
-PROGRAM = "import sys; sys.path.insert(0, {tests!r}); from kernels import test_ops_bounds; test_ops_bounds.{function}()"
 
 
 def calls() -> dict[str, tuple[Any, ...]]:
@@ -192,8 +189,7 @@ def change_indices() -> None:
     assert wrong == [], wrong
 
 
-@pytest.mark.parametrize("function", ["change_everything", "change_indices"])
-def test_in_a_process_of_its_own(function: str) -> None:
-    program = PROGRAM.format(tests=str(TESTS), function=function)
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr[-2000:]
+@pytest.mark.parametrize("function", [change_everything, change_indices])
+def test_in_a_process_of_its_own(function: Callable[[], None], tmp_path: Path) -> None:
+    with ForkedJob(1, tmp_path, function) as job:
+        assert job.finish(280.0) == [0], job.said[-2000:]

@@ -174,8 +174,9 @@ def test_what_a_trajectory_cannot_be() -> None:
         pgccd.detect(scene, trajectory)
     with pytest.raises(ValueError, match="^motion: has 2 vertices, the scene 12"):
         pgccd.detect(scene, pgccd.Trajectory(x))
-    with pytest.raises(ValueError, match="^pairs: cannot be given"):
-        pgccd.detect(scene, trajectory, pairs=torch.zeros((0, 2), dtype=torch.int64))  # type: ignore[call-overload]
+    two = pgccd.Scene([tetrahedron()] * 2)
+    with pytest.raises(ValueError, match="^capacity: cannot be given"):
+        pgccd.detect(two, trajectory, capacity=pgccd.Capacity.of(10))  # type: ignore[call-overload]
     with pytest.raises(IndexError, match="^index: "):
         trajectory.segment(2)
 

@@ -8,7 +8,7 @@ MUTANTS = [
     Mutant(
         "world-without-census",
         "pgccd/distributed/world/world.py",
-        "Census.of_ranks(comm, self.id).require(self.census)",
+        "Census.of_ranks(self.comm, self.id).require(self.census)",
         "pass",
         ("distributed/test_census.py",),
         switched=False,

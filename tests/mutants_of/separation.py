@@ -190,8 +190,8 @@ MUTANTS = [
     Mutant(
         "features-stepwise-out-of-range",
         CORE + "fixed_directions.h",
-        "if (!limits.in_range()) return false;",
-        "",
+        "const auto in_range = limits.in_range();",
+        "const auto in_range = limits.extent == limits.extent;",
         ON_TRAVERSE,
         equivalent="in the local frame of a pair nothing is larger than 1, and steps shorter than 1e-12 are not tried",
     ),

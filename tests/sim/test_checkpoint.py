@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import json
 import os
@@ -23,6 +24,7 @@ from pgccd import sim
 from pgccd.checkpoint import files as module
 from pgccd.checkpoint.files import FOLDER, POINTER
 from pgccd.sim.checkpoint import KIND, ROBOTS, Header, find_checkpoint
+from pgccd.sim.run_folder import mesh_files
 
 CONFIG = sim.ModelConfig(robots=30, pattern="skewed", seed=3)
 
@@ -167,6 +169,92 @@ def test_what_is_no_sane_file_is_refused_at_once(tmp_path: Path, name: str, kind
     assert time.monotonic() - begin < 10.0
 
 
+@pytest.mark.parametrize("name", [POINTER, "index.json"])
+@pytest.mark.parametrize(
+    ("kind", "said"),
+    [
+        ("NaN", "expected finite numbers, got NaN"),
+        ("infinity", "expected finite numbers, got 1e999"),
+        ("repeated", "the key 'kind' is repeated"),
+        ("UTF-16", "codec can't decode"),
+        ("deep", "recursion"),
+        ("digits", "Exceeds the limit"),
+        ("many", r"it has \d+ bytes, more than \d+"),
+    ],
+)
+def test_json_that_two_readers_may_read_differently(tmp_path: Path, name: str, kind: str, said: str) -> None:
+    """Or that takes more memory or depth than any checkpoint does; with valid hashes."""
+    folder = write(tmp_path, 7)
+    path = tmp_path / FOLDER / POINTER if name == POINTER else folder / name
+    values = {"NaN": "NaN", "infinity": "1e999", "deep": "[" * 20_000 + "]" * 20_000, "digits": "9" * 5_000}
+    values |= {"many": "[" + "[]," * (1 << 24) + "0]"}
+    key = "kind" if kind == "repeated" else "more"
+    text = f'{{"{key}": {values.get(kind, "0")}, {path.read_text().lstrip()[1:]}'
+    raw = text.encode("utf-16" if kind == "UTF-16" else "utf-8")
+    path.write_bytes(raw)
+    if name != POINTER:
+        pointer = tmp_path / FOLDER / POINTER
+        digest = {"index_sha256": hashlib.sha256(raw).hexdigest()}
+        pointer.write_text(json.dumps(json.loads(pointer.read_text()) | digest))
+    begin = time.monotonic()
+    with pytest.raises(module.CheckpointError, match=said) as refused:
+        read_all(tmp_path)
+    assert name in str(refused.value) and len(str(refused.value).splitlines()) == 1 and len(str(refused.value)) < 300
+    assert time.monotonic() - begin < 10.0
+
+
+@pytest.mark.parametrize("name", ["rank-00001.safetensors", "shared.safetensors"])
+def test_a_file_that_is_larger_than_its_rows(tmp_path: Path, name: str) -> None:
+    """A terabyte of holes, with its size in the index: refused before its hash is computed."""
+    with open(write(tmp_path, 7) / name, "r+b") as file:
+        file.truncate(1 << 40)
+    is_shared = name.startswith("shared")
+    plant(tmp_path, lambda index: (index["shared"] if is_shared else index["files"][1]).update(bytes=1 << 40))
+    begin = time.monotonic()
+    with pytest.raises(module.CheckpointError, match=f"{name}: {1 << 40} bytes"):
+        read_all(tmp_path)
+    assert time.monotonic() - begin < 5.0
+
+
+@pytest.mark.parametrize("kind", ["pipe", "device", "folder", "link to nothing"])
+@pytest.mark.parametrize("name", ["rank-00002.safetensors", "shared.safetensors", ""])
+def test_files_of_many_ranks_that_are_none(tmp_path: Path, name: str, kind: str) -> None:
+    """And in place of the checkpoint's folder."""
+    path = write(tmp_path, 7) / name
+    shutil.rmtree(path) if path.is_dir() else path.unlink()
+    if kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "folder":
+        path.mkdir()
+    else:
+        path.symlink_to("/dev/zero" if kind == "device" else tmp_path / "nothing")
+    with pytest.raises(module.CheckpointError) as refused:
+        read_all(tmp_path)
+    assert str(path) in str(refused.value) and len(str(refused.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    "kind", ["pipe", "device", "folder", "sparse", "NaN", "repeated", "UTF-16", "deep", "a number"]
+)
+def test_a_description_of_a_run_that_is_none(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / "world.json"
+    texts = {"NaN": '{"a": NaN}', "repeated": '{"a": 1, "a": 2}', "deep": "[" * 20_000, "a number": "3"}
+    if kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "device":
+        path.symlink_to("/dev/zero")
+    elif kind == "folder":
+        path.mkdir()
+    elif kind == "sparse":
+        path.touch()
+        os.truncate(path, 1 << 40)
+    else:
+        path.write_text(texts.get(kind, "{}"), encoding="utf-16" if kind == "UTF-16" else "utf-8")
+    with pytest.raises(ValueError, match="world.json") as refused:
+        mesh_files(tmp_path)
+    assert len(str(refused.value).splitlines()) == 1 and len(str(refused.value)) < 300
+
+
 def fail_at(patch: pytest.MonkeyPatch, call: str, number: int, error: BaseException) -> Iterator[int]:
     """Makes a call of a function fail, counted from 0. Returns the counter, whose next value is the number of calls."""
     owner: Any = module.os if call == "replace" else module
@@ -202,10 +290,11 @@ def test_a_failure_leaves_a_whole_one(tmp_path: Path, monkeypatch: pytest.Monkey
     assert read_all(tmp_path).steps_made == 7 and len(list((tmp_path / FOLDER).iterdir())) == 3
 
 
-def test_any_change_is_refused_in_one_line_or_makes_no_difference(tmp_path: Path) -> None:
+@pytest.mark.parametrize("count", [2_000, pytest.param(10_000, marks=pytest.mark.slow)])
+def test_any_change_is_refused_in_one_line_or_makes_no_difference(tmp_path: Path, count: int) -> None:
     write(tmp_path, 7, ranks=2)
     expected, refused = start_state(), 0
-    for _ in changes_by_chance(tmp_path, 10_000):
+    for _ in changes_by_chance(tmp_path, count):
         try:
             found = read_all(tmp_path)
         except module.CheckpointError as error:
@@ -213,7 +302,7 @@ def test_any_change_is_refused_in_one_line_or_makes_no_difference(tmp_path: Path
             assert str(tmp_path) in str(error) and len(str(error).splitlines()) == 1 and len(str(error)) < 300
         else:
             assert same(found.state, expected) and found.steps_made == 7 and found.config == CONFIG
-    assert refused > 9_000
+    assert refused > 0.9 * count
     assert same(read_all(tmp_path).state, expected)
 
 
@@ -260,6 +349,10 @@ CHANGES: dict[str, Callable[[dict[str, Any]], Any]] = {
     "no configuration": lambda index: index["header"].pop("config"),
     "no header": lambda index: index.update(header=[]),
     "steps": lambda index: index.update(steps_made="many"),
+    "too many steps": lambda index: index.update(steps_made=10**12),
+    "a step of 30 digits": lambda index: index.update(steps_made=10**30),
+    "bytes of 30 digits": lambda index: index["files"][0].update(bytes=10**30),
+    "too few bytes": lambda index: index["files"][0].update(bytes=8),
     "negative steps": lambda index: index.update(steps_made=-1),
     "steps wanted": lambda index: index["header"].update(steps_wanted="many"),
     "state": lambda index: index["files"][1]["tables"]["robots"].update(hash=5),
@@ -393,6 +486,17 @@ def test_a_folder_that_cannot_be_written_to(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(ValueError, match="^folder: cannot write to .*: Not a directory"):
         sim.run(CONFIG, 1, tmp_path / "file" / "run")
+
+
+@pytest.mark.parametrize("kind", ["a file", "a folder in which no file can be made"])
+def test_a_run_that_could_write_no_checkpoint_ends_before_its_first_step(tmp_path: Path, kind: str) -> None:
+    root = tmp_path / "run" / FOLDER
+    root.parent.mkdir()
+    root.touch() if kind == "a file" else root.symlink_to("/proc/self")
+    with pytest.raises(module.CheckpointError, match=f"{FOLDER} cannot be written to: ") as refused:
+        sim.run(CONFIG, 3, tmp_path / "run")
+    assert len(str(refused.value).splitlines()) == 1
+    assert not (tmp_path / "run" / "steps.jsonl").exists()
 
 
 def test_checkpoints_without_a_pointer_are_not_deleted(tmp_path: Path) -> None:

@@ -10,7 +10,8 @@ from typing import Any
 from unittest import mock
 
 import numpy as np
-from oracle.boxes import least_gap
+from oracle.boxes import axes_of, least_gap
+from oracle.convex import Convex, gap
 
 import pgccd
 
@@ -26,7 +27,7 @@ LOOPS = {
     "04_many_ranks.py": ("box", 0),
 }
 #: Documents whose loop moves bodies that are not boxes; they assert themselves that nothing touches at its end.
-CHECKED_BY_THEMSELVES = {"06_environments.py", "solver.md"}
+CHECKED_BY_THEMSELVES = {"06_environments.py", "08_impulses.py", "solver.md"}
 # Rounding of poses, relative to boxes of about one unit.
 _ROUNDING = 1e-12
 
@@ -72,6 +73,38 @@ def last_poses(names: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:
     if "world" in names:
         names = {"position": names["world"].position, **names["world"].payload}
     return names["position"].cpu().numpy(), names["orientation"].cpu().numpy()
+
+
+def check_convex(steps: list[pgccd.RigidMotion], names: dict[str, Any]) -> int:
+    """No two bodies overlap after any step of a loop over bodies of several convex meshes and a terrain at rest; static
+    ones may. Returns the number of pairs that were close to each other.
+
+    Args:
+        steps: those recorded, of all bodies in the order of their rows.
+        names: namespace of the loop: `meshes`, `mesh_index`, `static` and `terrain`.
+    """
+    poses = [(step.position_t0.numpy(), step.orientation_t0.numpy()) for step in steps] + [last_poses(names)]
+    convex = {
+        number: Convex.of_mesh(mesh.vertices.numpy(), mesh.faces.numpy())
+        for number, mesh in enumerate(names["meshes"])
+        if mesh is not names["terrain"]
+    }
+    corners = names["terrain"].vertices.numpy()[names["terrain"].faces.numpy()]
+    ground = [Convex.of_mesh(triangle, np.array([[0, 1, 2]])) for triangle in corners]
+    rows = [(row, number) for row, number in enumerate(names["mesh_index"].tolist()) if number in convex]
+    fixed = np.concatenate([names["static"].numpy()[[row for row, _ in rows]], np.ones(len(ground), dtype=bool)])
+    near = 0
+    for number, (position, orientation) in enumerate(poses):
+        axes = axes_of(orientation)
+        everything = [*(convex[mesh].placed(axes[row], position[row]) for row, mesh in rows), *ground]
+        low, high = (np.array([f(each.vertices, axis=0) for each in everything]) for f in (np.min, np.max))
+        for i in np.flatnonzero(~fixed):
+            close = (low <= high[i]).all(axis=1) & (high >= low[i]).all(axis=1)
+            for j in np.flatnonzero(close & (fixed | (np.arange(len(fixed)) > i))):
+                near += 1
+                apart = gap(everything[i], everything[j])
+                assert apart > -_ROUNDING, f"bodies {i} and {j} overlap after step {number}, by {-apart}"
+    return near
 
 
 def check_loop(document: str, steps: list[pgccd.RigidMotion], names: dict[str, Any]) -> None:

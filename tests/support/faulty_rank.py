@@ -18,7 +18,7 @@ from pgccd.distributed import Cells, choose_device, connect, guard
 from pgccd.sim.distributed import DistributedSimulation, starting_share
 
 RANK, STEP = 1, 3
-BUSY_SECONDS = 12 if len(sys.argv) < 5 else int(sys.argv[4])
+BUSY_SECONDS = 4 if len(sys.argv) < 5 else int(sys.argv[4])
 guard.guard._GRACE_SECONDS = 2.0  # shortens the test
 
 

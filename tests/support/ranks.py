@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import multiprocessing.connection
+import multiprocessing.process
 import os
 import traceback
 from collections.abc import Callable
@@ -13,6 +13,7 @@ import torch
 import torch.distributed as dist
 
 from pgccd.distributed import Alone, Comm, TorchComm
+from support.forked_job import forkserver
 
 MOST_RANKS = 4
 # A job that takes longer hangs.
@@ -28,9 +29,7 @@ class RankPool:
         self._start()
 
     def _start(self) -> None:
-        # One process imports torch, and forks the ranks before it starts any thread.
-        context = multiprocessing.get_context("forkserver")
-        context.set_forkserver_preload(["pgccd.distributed"])
+        context = forkserver()
         for rank in range(MOST_RANKS):
             ours, theirs = context.Pipe()
             process = context.Process(target=_serve, args=(rank, theirs), daemon=True)

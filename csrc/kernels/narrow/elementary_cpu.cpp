@@ -1,3 +1,4 @@
+#include "core/feature_lanes.h"
 #include "kernels/narrow/elementary_item.h"
 #include "kernels/narrow/narrow.h"
 
@@ -6,42 +7,16 @@ namespace {
 
 constexpr int64_t kQueryGrain = 256;
 
-// Nine columns of a feature pair's coordinates, one lane per query.
-struct LaneColumns {
-  alignas(32) float column[9][kLanes];
-
-  void set(int lane, const FeaturePair<float>& p) {
-    const Vec3<float> vectors[3] = {p.r, p.a, p.b};
-    for (int k = 0; k < 3; ++k) {
-      column[3 * k][lane] = vectors[k].x;
-      column[3 * k + 1][lane] = vectors[k].y;
-      column[3 * k + 2][lane] = vectors[k].z;
-    }
-  }
-  Vec3<Float8> vector(int k) const {
-    return {load<Float8>(column[3 * k]), load<Float8>(column[3 * k + 1]), load<Float8>(column[3 * k + 2])};
-  }
-  FeaturePair<Float8> pairs() const { return {vector(0), vector(1), vector(2)}; }
-};
-
 // Culled queries, of up to kLanes, one bit each.
 template <FeatureKind kKind, class T>
 uint32_t culled_lanes(const T* points_t0, const T* points_t1, int64_t count, float distance) {
-  if (count < kLanes) {
-    uint32_t culled = 0;
-    for (int64_t q = 0; q < count; ++q) {
-      const bool free = stays_apart(rounded_differences<kKind>(points_t0 + 12 * q),
-                                    rounded_differences<kKind>(points_t1 + 12 * q), distance, kIsEdgeEdge<kKind>);
-      culled |= static_cast<uint32_t>(free) << q;
-    }
-    return culled;
-  }
-  LaneColumns start, end;
-  for (int lane = 0; lane < kLanes; ++lane) {
+  FeatureLanes start, end;
+  for (int lane = 0; lane < count; ++lane) {
     start.set(lane, rounded_differences<kKind>(points_t0 + 12 * lane));
     end.set(lane, rounded_differences<kKind>(points_t1 + 12 * lane));
   }
-  return lane_bits(stays_apart(start.pairs(), end.pairs(), distance, kIsEdgeEdge<kKind>));
+  const uint32_t used = (1u << count) - 1u;
+  return used & lane_bits(stays_apart(start.pairs(), end.pairs(), distance, kIsEdgeEdge<kKind>, lanes_without(used)));
 }
 
 }  // namespace

@@ -10,7 +10,7 @@ void elementary(const DeviceContext& context, const T* points_t0, const T* point
   for_each_item(context, count, [=] __device__(int64_t q) {
     const T *start = points_t0 + 12 * q, *end = points_t1 + 12 * q;
     const bool free = stays_apart(rounded_differences<kKind>(start), rounded_differences<kKind>(end),
-                                  cull_distance(settings), kIsEdgeEdge<kKind>);
+                                  cull_distance(settings), kIsEdgeEdge<kKind>, false);
     store(out, q, free ? culled_answer<T>() : solve_elementary<kKind>(start, end, settings));
   });
 }

@@ -101,22 +101,27 @@ PGCCD_HD Mask crossing_apart(Corner&& corner, int bit, float distance, Mask out)
   return edge_and_face_apart(edge, face, distance, out);
 }
 
-// A feature pair at both ends of a segment.
+// A feature pair at both ends of a segment; or lanes of them (T = Float8).
+template <class T>
 struct MovingFeatures {
-  FeaturePair<float> start, end;
-  bool is_edge_edge;
+  using Mask = decltype(T{} == T{});
+  FeaturePair<T> start, end;
+  Mask is_edge_edge;
 
-  // Both are true only if the features stay apart; the second rejects more pairs, and is slower.
-  PGCCD_HD bool plainly_apart(float distance) const { return stays_apart(start, end, distance, is_edge_edge); }
-  PGCCD_HD bool stepwise_apart(float distance) const {
-    return stays_apart_stepwise(start, end, distance, is_edge_edge);
+  // Both are true only where the features stay apart; the second rejects more pairs, and is slower. `out` where the
+  // answer is not needed.
+  PGCCD_HD Mask plainly_apart(float distance, Mask out = {}) const {
+    return stays_apart(start, end, distance, is_edge_edge, out);
+  }
+  PGCCD_HD Mask stepwise_apart(float distance, Mask out = {}) const {
+    return stays_apart_stepwise(start, end, distance, is_edge_edge, out);
   }
 };
 
 // The feature pair of a bit. `corner(side, index, end)` returns a triangle's corner. Both kinds of pairs take one path
 // through the code, because they share a warp on a device.
 template <class Corner>
-PGCCD_HD MovingFeatures moving_features(Corner&& corner, int bit) {
+PGCCD_HD MovingFeatures<float> moving_features(Corner&& corner, int bit) {
   const bool is_edge_edge = bit >= kFirstEdgeBit, is_face_of_i = bit >= 3 && !is_edge_edge;
   const int first_side = is_face_of_i ? 1 : 0, second_side = 1 - first_side;
   // Corners x0 .. x3 of the feature pair: edge-edge c, c + 1; d, d + 1; vertex-face c; 0, 1, 2.

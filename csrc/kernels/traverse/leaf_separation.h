@@ -72,7 +72,7 @@ class LeafSeparation {
   // the gap is concave in time. The error of a distance along a unit direction is below 32 units of rounding; the
   // inflation includes 64. The direction is scaled to unit length first: with large bodies, the scale of the poses
   // times that of a point near the origin would underflow.
-  PGCCD_HD_LANES bool is_along(Vec3<float>& reached, float& free_part) const {
+  PGCCD_HD bool is_along(Vec3<float>& reached, float& free_part) const {
     const float length_squared = norm_squared(reached);
     if (!(length_squared > 1e-30f)) return false;
     const Vec3<float> direction = (1.0f / square_root(length_squared)) * reached;
@@ -101,7 +101,7 @@ class LeafSeparation {
   PGCCD_HD const LeafPoints& points(int side, int32_t row) const { return tree_.sweep().leaf_rows[side][row]; }
 
   // The farthest vertices at both ends.
-  PGCCD_HD_LANES void find_farthest(int side, int32_t node, Vec3<float> direction, Farthest out[2]) const {
+  PGCCD_HD void find_farthest(int side, int32_t node, Vec3<float> direction, Farthest out[2]) const {
     constexpr int kSlotsAtOnce = sizeof(T) / sizeof(float);
     const Placement from = start_.of[side], to = end_.of[side];
     const Vec3<T> at_start = in_all_lanes(Sweep::pulled_back(from, direction), T{});

@@ -96,7 +96,7 @@ class PairTree {
   // Positive if a child and the other node certainly stay apart over segment k: squared distance of the spheres minus
   // their squared reach, at the time of the smallest distance, or the slab of one excludes the other's sphere. Positive
   // for an empty slot, the only one with a NaN radius.
-  PGCCD_HD_LANES float clearance(const SplitPair& split, const MovingNode& other, int k, int slot) const {
+  PGCCD_HD float clearance(const SplitPair& split, const MovingNode& other, int k, int slot) const {
     const MovingNode child = node_over(split.side(), split.block(), slot, k);
     const Vec3<float> start = child.centre.start[0] - other.centre.start[0];
     const Vec3<float> end = child.centre.end[0] - other.centre.end[0];
@@ -121,13 +121,13 @@ class PairTree {
     return sweep_.blocks[side][block_of(node)].radius[slot_of(node)];
   }
 
-  PGCCD_HD_LANES MovingPoints<1, float> moving_centre(int side, int32_t block, int slot, const Placement& at_start,
-                                                      const Placement& at_end) const {
+  PGCCD_HD MovingPoints<1, float> moving_centre(int side, int32_t block, int slot, const Placement& at_start,
+                                                const Placement& at_end) const {
     return {{Sweep::place(at_start, sweep_.node_centre(side, block, slot, 0))},
             {Sweep::place(at_end, sweep_.node_centre(side, block, slot, 1))}};
   }
 
-  PGCCD_HD_LANES MovingNode node_over(int side, int32_t block, int slot, int k) const {
+  PGCCD_HD MovingNode node_over(int side, int32_t block, int slot, int k) const {
     const NodeBlock& b = sweep_.blocks[side][block];
     const Placement at_start = poses_[k - 1].of[side], at_end = poses_[k].of[side];
     const Vec3<float> normal{b.normal_x[slot], b.normal_y[slot], b.normal_z[slot]};

@@ -135,19 +135,19 @@ struct alignas(16) RigidSweep : PairFrame {
   }
 
   // Centre of a node relative to the SBV centre, body axes; the same at both ends of a segment.
-  PGCCD_HD_LANES Vec3<float> node_centre(int side, int32_t block, int slot, int) const {
+  PGCCD_HD Vec3<float> node_centre(int side, int32_t block, int slot, int) const {
     const NodeBlock& b = blocks[side][block];
     return {b.x[slot], b.y[slot], b.z[slot]};
   }
 
   // Relative to the SBV centre, body axes -> local frame.
   template <class T>
-  PGCCD_HD_LANES static Vec3<T> place(const Placement& p, Vec3<T> v) {
+  PGCCD_HD static Vec3<T> place(const Placement& p, Vec3<T> v) {
     return sweep_detail::shifted(p, sweep_detail::turned(p, v));
   }
 
   // Mean over both ends of a segment of a unit vector of the body, in the local frame.
-  PGCCD_HD_LANES Vec3<float> mean_of_turned(const Placement& start, const Placement& end, Vec3<float> direction) const {
+  PGCCD_HD Vec3<float> mean_of_turned(const Placement& start, const Placement& end, Vec3<float> direction) const {
     return (0.5f * inverse_scale) * sweep_detail::turned_by_sum(start, end, direction);
   }
 

@@ -105,16 +105,16 @@ PGCCD_HD Mat3<double> blend(const Mat3<double>& m0, const Mat3<double>& m1, doub
 
 // Without the shift.
 template <class T>
-PGCCD_HD_LANES Vec3<T> turned(const Placement& p, Vec3<T> v) {
+PGCCD_HD Vec3<T> turned(const Placement& p, Vec3<T> v) {
   const auto row = [&](Vec3<float> r) { return multiply_add(r.z, v.z, multiply_add(r.y, v.y, r.x * v.x)); };
   return {row(p.x.axis), row(p.y.axis), row(p.z.axis)};
 }
 // The sum of a vector under two poses, without their shifts.
-PGCCD_HD_LANES Vec3<float> turned_by_sum(const Placement& p, const Placement& q, Vec3<float> v) {
+PGCCD_HD Vec3<float> turned_by_sum(const Placement& p, const Placement& q, Vec3<float> v) {
   return {dot(p.x.axis + q.x.axis, v), dot(p.y.axis + q.y.axis, v), dot(p.z.axis + q.z.axis, v)};
 }
 template <class T>
-PGCCD_HD_LANES Vec3<T> shifted(const Placement& p, Vec3<T> v) {
+PGCCD_HD Vec3<T> shifted(const Placement& p, Vec3<T> v) {
   return {p.x.shift + v.x, p.y.shift + v.y, p.z.shift + v.z};
 }
 

@@ -1,3 +1,6 @@
+// Loops over lanes are only vectorised if what they call is inlined: see core/platform.h.
+#define PGCCD_INLINE_ALL
+
 #include <optional>
 
 #include "kernels/traverse/support_item.h"

@@ -160,7 +160,7 @@ class LeafVisitor {
     __syncwarp();  // the list is written
   }
 
-  __device__ __forceinline__ MovingFeatures features_of(int listed) const {
+  __device__ __forceinline__ MovingFeatures<float> features_of(int listed) const {
     const int i = listed / 16 / kSlots, j = listed / 16 % kSlots;
     const auto corner_of = [&](int side, int index, int end) { return corner(shared_, side == 0 ? i : j, index, end); };
     return moving_features(corner_of, listed % 16);

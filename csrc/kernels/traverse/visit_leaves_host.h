@@ -1,7 +1,7 @@
 // From pairs of leaves to candidates on the host, eight triangles at a time.
 #pragma once
 
-#include "kernels/traverse/leaf_item.h"
+#include "kernels/traverse/feature_queue_host.h"
 #include "kernels/traverse/leaf_separation.h"
 #include "kernels/traverse/time_windows.h"
 
@@ -24,11 +24,6 @@ MovingPoints<N, Float8> in_all_lanes(const MovingPoints<N, float>& points) {
     out.end[k] = broadcast(points.end[k]);
   }
   return out;
-}
-
-inline Mask8 lanes_without(uint32_t bits) {
-  const Mask8 bit{1, 2, 4, 8, 16, 32, 64, 128};
-  return (bit & (static_cast<int32_t>(bits) - Mask8{})) == 0;
 }
 
 // Calls emit(lane, bit) for edges and faces of one triangle and others, the lanes `near`, that may pass through one
@@ -84,11 +79,15 @@ template <class Bodies, class Emit>
 void visit_leaves(const PairTree<Bodies>& tree, NodePair leaves, Windows windows, float begin, Emit&& emit) {
   const NodeLink first = tree.link(0, leaves.first), second = tree.link(1, leaves.second);
   if (first.triangle_count < 0 || second.triangle_count < 0) return;
+  if (begin == kUnknownBegin) begin = leaves_free_until(tree, leaves, windows);
+  if (begin == kNeverMeet) return;
+  const bool may_start_near = !(begin > 0.0f) && tree.sweep().start_distance >= 0.0f;
   const auto triangles = [&](int side) { return tree.bodies().meshes.triangles + tree.sweep().first_face[side]; };
   const Triangle *first_triangles = triangles(0) + first.first, *second_triangles = triangles(1) + second.first;
   const bool is_one_body = tree.sweep().is_one_body(), is_one_leaf = is_one_body && leaves.first == leaves.second;
   uint32_t meeting[kMaxLeafTriangles][kLanes] = {};
-  bool is_near = false, may_start_near = false;
+  const auto mark_meeting = [&](int number) { meeting[number >> 7][number >> 4 & 7] |= 1u << (number & 15); };
+  FeatureTests tests(mark_meeting);
   // Segment k of `over`; `is_start`: at the start of the step. Spans of several segments are only tested.
   const auto visit = [&](const PairTree<Bodies>& over, int k, bool is_start, bool is_single) {
     const float distance = over.sweep().inflation;
@@ -99,13 +98,6 @@ void visit_leaves(const PairTree<Bodies>& tree, NodePair leaves, Windows windows
     const uint32_t reaching_j = triangles_reaching(over, j, second.triangle_count, 1, leaves.first, k);
     if (reaching_j == 0) return Then::kNext;
     if (!is_single) return Then::kDivide;
-    // On a device this test comes first; on the host it is slower than the tests above.
-    if (!is_near) {
-      if (begin == kUnknownBegin) begin = leaves_free_until(tree, leaves, windows);
-      if (begin == kNeverMeet) return Then::kStop;
-      may_start_near = !(begin > 0.0f) && tree.sweep().start_distance >= 0.0f;
-    }
-    is_near = true;
     for_each_bit(reaching_i, [&](int p) {
       const MovingPoints<3, float> one = one_lane(i, p);
       const MovingPoints<3, Float8> same = in_all_lanes(one);
@@ -126,28 +118,21 @@ void visit_leaves(const PairTree<Bodies>& tree, NodePair leaves, Windows windows
           const MovingPoints<3, float>& points = side == 0 ? one : other;
           return end == 0 ? points.start[index] : points.end[index];
         };
-        for_each_bit(wanted, [&](int bit) {
-          const MovingFeatures features = moving_features(corner, bit);
-          if (!features.plainly_apart(distance) && !features.stepwise_apart(distance)) meeting[p][lane] |= 1u << bit;
-        });
+        for_each_bit(wanted,
+                     [&](int bit) { tests.add(moving_features(corner, bit), (p << 3 | lane) << 4 | bit, distance); });
       });
     });
+    tests.finish(distance);
     return Then::kNext;
   };
   if (tree.sweep().turns_fast()) {
-    bool is_over = false;
     for_each_window(tree, windows, [&](int, TimeSpan range) {
-      if (is_over) return;
       walk_spans(tree, range, [&](const PairTree<Bodies>& over, TimeSpan span) {
-        const Then then = visit(over, 1, span.begin == 0, span.length() == 1);
-        is_over = then == Then::kStop;
-        return then;
+        return visit(over, 1, span.begin == 0, span.length() == 1);
       });
     });
   } else {
-    for (int k = 1; k <= tree.sweep().segment_count; ++k) {
-      if (visit(tree, k, k == 1, true) == Then::kStop) break;
-    }
+    for (int k = 1; k <= tree.sweep().segment_count; ++k) visit(tree, k, k == 1, true);
   }
   for (int p = 0; p < first.triangle_count; ++p) {
     for (int lane = 0; lane < second.triangle_count; ++lane) {
@@ -157,26 +142,16 @@ void visit_leaves(const PairTree<Bodies>& tree, NodePair leaves, Windows windows
   }
 }
 
-// The time until which the leaves certainly stay apart. On the host the tests of all triangles against the other leaf's
-// sphere come first: they reject most pairs, faster.
+// The time until which the leaves certainly stay apart, for the order in which pairs of leaves are searched.
 template <class Bodies>
 float begin_of(const PairTree<Bodies>& tree, NodePair leaves, Windows windows) {
-  const NodeLink first = tree.link(0, leaves.first), second = tree.link(1, leaves.second);
-  if (first.triangle_count < 0 || second.triangle_count < 0) return kNeverMeet;
-  const auto reach = [&](int side, const NodeLink& leaf, int32_t other, int k) {
-    const MovingPoints<3, Float8> triangles = moving_triangles<Float8>(tree, side, leaf.first, k);
-    return triangles_reaching(tree, triangles, leaf.triangle_count, side, other, k) != 0;
-  };
+  if (tree.link(0, leaves.first).triangle_count < 0 || tree.link(1, leaves.second).triangle_count < 0) {
+    return kNeverMeet;
+  }
   // Leaves this near may meet from the start: the time only decides what is searched first.
   const Vec3<float> offset = tree.centre_at_start(1, leaves.second) - tree.centre_at_start(0, leaves.first);
   if (norm_squared(offset) < tree.sweep().inflation * tree.sweep().inflation) return 0.0f;
-  if (tree.sweep().turns_fast()) return leaves_free_until(tree, leaves, windows);
-  for (int k = 1; k <= tree.sweep().segment_count; ++k) {
-    if (reach(0, first, leaves.second, k) && reach(1, second, leaves.first, k)) {
-      return leaves_free_until<Float8>(tree, leaves);
-    }
-  }
-  return kNeverMeet;
+  return leaves_free_until(tree, leaves, windows);
 }
 
 }  // namespace pgccd

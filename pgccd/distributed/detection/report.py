@@ -2,28 +2,33 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from pgccd import arguments
+from pgccd import arguments, ops
 from pgccd.detection.contacts import CollidingPairs, Contacts, earliest_row
 from pgccd.detection.trajectories import TrajectoryContacts
 from pgccd.distributed.comm.exchange import Columns, first_row, make_route, take_rows
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.detection.share import Share
 
+# Prefix of payload among the columns of contacts that are sent.
+_PAYLOAD = "payload."
 
-def tell_owners(found: Share) -> Contacts | CollidingPairs:
+
+def tell_owners(found: Share, payload: Columns | None = None) -> Contacts | CollidingPairs:
     """All contacts of the bodies that this rank owns, in global ids, sorted by id. Both owners of a pair are neighbours
     of the rank that tested it: they sent it ghosts.
 
     Args:
         found: contacts of the pairs that this rank tested.
+        payload: columns of the own bodies (N, ...) that contacts carry; those of ghosts have been sent with them.
     """
-    columns: dict[str, Any] = columns_for_owners(found, found.contacts.columns)
-    told = type(found.contacts)(**columns, stats=found.contacts.stats)
+    columns = columns_for_owners(found, found.contacts.columns | _payload_of_pairs(found, payload))
+    told = _told(found, columns)
     told._is_of_rank = found.held.route.neighbours.comm.size > 1
     return told
 
@@ -44,29 +49,50 @@ def columns_for_owners(found: Share, columns: Columns) -> Columns:
     return take_rows(received, _canonical_order(received["pairs"]))
 
 
-def earliest_for_all(comm: Comm, found: Share, ids: int | None = None) -> Contacts:
+def earliest_for_all(comm: Comm, found: Share, ids: int | None = None, payload: Columns | None = None) -> Contacts:
     """The first contact of the scene, on every rank; ties are broken by the smallest pair.
 
     Args:
         comm: between the ranks.
         found: contacts of the pairs that this rank tested, at least the earliest one.
         ids: for a trajectory, the number of ids per segment, see `segments`; earlier segments come first.
+        payload: as for `tell_owners`.
     """
-    columns = _in_global_ids(found)
+    columns = _in_global_ids(found) | _payload_of_pairs(found, payload)
     i, j = columns["pairs"].unbind(dim=1)
     segment = torch.zeros_like(i) if ids is None else torch.div(i, ids, rounding_mode="floor")
     row = earliest_row(segment, columns["toi"], i, j)
     columns = {name: column[row] for name, column in columns.items()}
     # Floats >= 0 have the same order as their bits.
     order = torch.stack([segment[row], columns["toi"].view(torch.int64), i[row], j[row]], dim=1)
-    first: dict[str, Any] = first_row(comm, order, columns)
-    earliest = Contacts(**first, stats=found.contacts.stats)
+    earliest = _told(found, first_row(comm, order, columns))
+    assert isinstance(earliest, Contacts)
     earliest._is_earliest = True
     return earliest
 
 
 def _in_global_ids(found: Share) -> Columns:
     return found.contacts.columns | {"pairs": found.held.id[found.contacts.pairs]}
+
+
+def _payload_of_pairs(found: Share, payload: Columns | None) -> Columns:
+    """The payload of both bodies of each contact, (K, 2, ...), by names that differ from those of contacts."""
+    if not payload:
+        return {}
+    pairs, of_ghosts = found.contacts.pairs, [found.held.ghosts[name] for name in payload]
+    of_bodies = ops.take_rows(list(payload.values()), of_ghosts, pairs.reshape(-1))
+    return {
+        _PAYLOAD + name.removeprefix("."): column.view(len(pairs), 2, *column.shape[1:])
+        for name, column in zip(payload, of_bodies, strict=True)
+    }
+
+
+def _told(found: Share, columns: Columns) -> Contacts | CollidingPairs:
+    """Contacts of their columns and those of `_payload_of_pairs`."""
+    of_contacts: dict[str, Any] = {name: column for name, column in columns.items() if not name.startswith(_PAYLOAD)}
+    told = type(found.contacts)(**of_contacts, stats=found.contacts.stats)
+    told.payload = {name.removeprefix(_PAYLOAD): columns[name] for name in columns if name.startswith(_PAYLOAD)}
+    return told
 
 
 def _canonical_order(pairs: Tensor) -> Tensor:
@@ -104,3 +130,31 @@ def rows_of_own(id: Tensor, bodies: Tensor) -> Tensor:
         return torch.full_like(bodies, -1)
     row = torch.searchsorted(id, bodies.contiguous()).clamp_(max=len(id) - 1)
     return torch.where(id[row] == bodies, row, -1)
+
+
+def sum_per_body(id: Tensor, hits: Contacts | CollidingPairs, values: Tensor) -> Tensor:
+    """(N, ...): for each body, the sum of its values over its contacts, in their order; 0 without a contact.
+
+    Args:
+        id: (N,) int64 global ids, ascending.
+        hits: with `pairs` in global ids.
+        values: (K, 2, ...) floating-point numbers: of i and of j.
+
+    Raises:
+        TypeError, ValueError: naming the argument.
+    """
+    if not isinstance(hits, (Contacts, CollidingPairs)):
+        raise TypeError(f"hits: expected pgccd.Contacts, got {arguments.describe(hits)}")
+    if not isinstance(values, Tensor) or not values.is_floating_point():
+        raise TypeError(f"values: expected a tensor of floating-point numbers, got {arguments.describe(values)}")
+    if values.shape[:2] != (len(hits), 2) or values.device != id.device:
+        expected = f"({len(hits)}, 2, ...) on {id.device}"
+        raise ValueError(f"values: expected {expected}, got {tuple(values.shape)} on {values.device}")
+    row = rows_of_own(id, hits.pairs.reshape(-1))
+    order = torch.argsort(row, stable=True)
+    order = order[int((row < 0).sum()) :]  # the others are of bodies of other ranks
+    count = torch.zeros_like(id).scatter_add_(0, row[order], torch.ones_like(order))
+    mine = values.reshape(len(row), math.prod(values.shape[2:]))[order]
+    # Each sum is made term by term: `index_add_` would add in any order on a GPU.
+    total = torch.segment_reduce(mine, "sum", lengths=count, axis=0, unsafe=True, initial=0.0)
+    return total.view(len(id), *values.shape[2:])

@@ -14,6 +14,7 @@ from pgccd.distributed.comm.exchange import Columns
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.detection.report import earliest_for_all, tell_owners
 from pgccd.distributed.detection.share import Share
+from pgccd.motion.trajectory import Trajectory
 
 _MOST_WORLDS, _MOST_IDS = 2**31, 2**62
 
@@ -27,18 +28,22 @@ class Segments:
     worlds: int  #: worlds per segment
 
     @classmethod
-    def agreed(cls, comm: Comm, count: int, own: Columns) -> Segments:
-        """Agrees with the other ranks on the numbering, given this rank's bodies.
+    def agreed(cls, comm: Comm, motion: Trajectory, own: Columns) -> Segments:
+        """Agrees with the other ranks on the numbering, given this rank's bodies and their motion.
 
         Raises:
-            ValueError: ranks have different numbers of segments, or there are too many; on all ranks.
+            ValueError: ranks have different numbers of segments, some of them margins and others none, or there are too
+                many; on all ranks.
         """
+        count = motion.segment_count
         world = own.get("world", own["id"][:0])
         most = [int(column.max()) if len(column) else 0 for column in (own["id"], world)]
-        of_ranks = comm.all_gather(torch.tensor([count, *most]))
+        of_ranks = comm.all_gather(torch.tensor([count, int(motion.margin is not None), *most]))
         if bool((of_ranks[:, 0] != of_ranks[0, 0]).any()):
             raise ValueError(f"motion: ranks have {sorted(set(of_ranks[:, 0].tolist()))} segments")
-        ids, worlds = (1 + largest for largest in of_ranks[:, 1:].amax(dim=0).tolist())
+        if bool((of_ranks[:, 1] != of_ranks[0, 1]).any()):
+            raise ValueError("margin: expected a margin of the trajectory on all ranks or on none")
+        ids, worlds = (1 + largest for largest in of_ranks[:, 2:].amax(dim=0).tolist())
         if count * ids >= _MOST_IDS or count * worlds >= _MOST_WORLDS:
             limits = f"ids up to {ids - 1} and worlds up to {worlds - 1}"
             raise ValueError(f"motion: {count} segments are too many for {limits}")
@@ -47,15 +52,19 @@ class Segments:
     def repeat(self, own: Columns) -> Columns:
         """The columns of the bodies of all segments, concatenated."""
         bodies, device = len(own["id"]), own["id"].device
-        columns = {name: column.repeat(self.count) for name, column in own.items()}
+        columns = self.repeat_rows(own)
         segment = torch.arange(self.count, device=device).repeat_interleave(bodies)
         columns["id"] = columns["id"] + self.ids * segment
         world = columns.get("world", torch.zeros(len(segment), dtype=torch.int32, device=device))
         columns["world"] = world + (self.worlds * segment).to(torch.int32)
         return columns
 
+    def repeat_rows(self, columns: Columns) -> Columns:
+        """Columns (N, ...) of bodies, for the bodies of all segments."""
+        return {name: torch.cat([column] * self.count) for name, column in columns.items()}
+
     def contacts_for_owners(
-        self, comm: Comm, found: Share, report: narrow.Report
+        self, comm: Comm, found: Share, report: narrow.Report, payload: Columns
     ) -> TrajectoryContacts | CollidingPairs:
         """The contacts of the bodies that this rank owns, as `pgccd.detect` returns them for a trajectory.
 
@@ -63,10 +72,11 @@ class Segments:
             comm: between the ranks.
             found: contacts of the bodies of all segments by `report`; for "earliest", the first contacts.
             report: as for `pgccd.detect`.
+            payload: columns of the bodies of all segments that contacts carry.
         """
         if report == "earliest":
-            return self._of(earliest_for_all(comm, found, self.ids))
-        contacts = self._of(tell_owners(found))
+            return self._of(earliest_for_all(comm, found, self.ids, payload))
+        contacts = self._of(tell_owners(found, payload))
         if report == "all":
             return contacts
         # Stable: the first segment of each pair comes first.
@@ -85,8 +95,9 @@ class Segments:
         columns["pairs"] = contacts.pairs - self.ids * segment[:, None]
         if isinstance(contacts, CollidingPairs):
             colliding = CollidingPairs(**columns)
-            colliding._is_of_rank = contacts._is_of_rank
+            colliding._is_of_rank, colliding.payload = contacts._is_of_rank, contacts.payload
             return colliding
         found = TrajectoryContacts(**columns, segment=segment, time=time_along(segment, contacts.toi, self.count))
         found._is_earliest, found._is_of_rank = contacts._is_earliest, contacts._is_of_rank
+        found.payload = contacts.payload
         return found

@@ -18,6 +18,7 @@ from torch import Tensor
 
 from pgccd import ops
 from pgccd.detection.bodies import MovingBodies
+from pgccd.detection.broad import select_rows
 from pgccd.detection.contacts import CollidingPairs, Contacts
 from pgccd.detection.passes import PASS_SLACK, SearchPass, contacts_of_step, find_pass, first_contacts_of
 from pgccd.distributed.comm.exchange import Columns
@@ -28,7 +29,7 @@ from pgccd.distributed.halo.sizes import HaloSizes
 from pgccd.distributed.halo.vertices import Vertices, vertex_counts
 from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.distributed.partition.rebalancing import Places
-from pgccd.resolution.search import has_changed, select_rows
+from pgccd.resolution.search import has_changed
 from pgccd.runtime.host_copy import HostCopy
 from pgccd.runtime.side_stream import SideStream
 from pgccd.runtime.stages import StageClock

@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar
 
+import torch
 import torch.distributed as dist
 
 from pgccd.distributed.comm.interface import Comm
@@ -58,9 +59,11 @@ def agree_by_store(store: dist.Store, placement: Placement, facts: Mapping[str, 
         store.set("facts/verdict", _compare_all(store, placement.size, timeout))
     try:
         store.wait(["facts/verdict"])
+    except dist.DistNetworkError:
+        raise
     except dist.DistError as error:
         raise RuntimeError(f"rank 0 did not connect within {timeout:g} s ({error})") from error
-    verdict = store.get("facts/verdict").decode()
+    verdict = store.get("facts/verdict").decode(errors="replace")
     store.add("facts/read", 1)
     if verdict:
         if placement.rank == 0:  # rank 0 may host the store
@@ -153,6 +156,34 @@ def require_agreement(comm: Comm, facts: Mapping[str, Any]) -> None:
     difference = comm.broadcast_object(_difference(of_ranks, range(len(of_ranks))))
     if difference is not None:
         raise DisagreementError(difference)
+
+
+def agree_on_step(comm: Comm, settings: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """Compares what ranks ask for in one step: a message of eight bytes a rank, unless they differ.
+
+    Args:
+        comm: between the ranks.
+        settings: checks the arguments of this rank, and returns those that must be equal, as for `require_agreement`.
+
+    Returns:
+        The settings.
+
+    Raises:
+        DisagreementError: on all ranks.
+        Exception: of `settings`, as by `together`.
+    """
+    error: Exception | None = None
+    try:
+        facts = settings()
+    except Exception as raised:
+        error, facts = raised, {PROBLEM: str(raised)}
+    digest = hashlib.sha256(repr(sorted(facts.items())).encode()).digest()[:8]
+    mine = torch.tensor([int.from_bytes(digest, "little", signed=True)])
+    if bool((comm.all_gather(mine) != mine).any()):
+        require_agreement(comm, together(comm, settings))
+    if error is not None:
+        raise of_all_ranks(error)
+    return facts
 
 
 def _difference(of_ranks: Sequence[Mapping[str, str]], ranks: Sequence[int]) -> str | None:

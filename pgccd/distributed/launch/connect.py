@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import socket
 from collections.abc import Mapping
 from typing import Any, Literal, NoReturn, get_args
@@ -16,12 +17,13 @@ from pgccd.distributed.comm.peer_access import read_setting
 from pgccd.distributed.comm.torch_comm import NO_TIMEOUT, TorchComm
 from pgccd.distributed.guard import Guard, Hub
 from pgccd.distributed.guard.channel import join, process_name
+from pgccd.distributed.launch.agent import watching_agent
 from pgccd.distributed.launch.agreement import PROBLEM, agree_by_store
 from pgccd.distributed.launch.code import code_facts
 from pgccd.distributed.launch.existing import of_group, require_usable
 from pgccd.distributed.launch.interfaces import interface_of, is_loopback
 from pgccd.distributed.launch.placement import Placement, find_placement
-from pgccd.distributed.launch.rendezvous import LOOPBACK, Meeting, meet
+from pgccd.distributed.launch.rendezvous import LOOPBACK, Meeting, meet, naming
 from pgccd.distributed.launch.token import VARIABLE as TOKEN
 from pgccd.distributed.launch.token import share_token
 
@@ -98,23 +100,17 @@ def connect(
             raise ValueError("transport: 'nccl' needs a GPU and a torch that was built with NCCL")
     except ValueError as error:
         tell_problem(str(error), timeout)
-    meeting = meet(placement, timeout)
-    store = meeting.store
-    own = {**code_facts(), "device": device.type, "transport": transport, "timeout": f"{timeout:g}"}
-    own[TOKEN] = "a value" if os.environ.get(TOKEN) else "none"  # not compared: it would pass through the store
-    agree_by_store(store, placement, {**own, **(settings or {})}, timeout)
-    if device.type == "cuda" and torch.cuda.is_available():
-        torch.cuda.set_device(device)
-    guard = _start_guard_on_all(meeting, placement, timeout)
-    backend = _backend(transport, device, placement, store)
-    with guard.waiting("connection"):
-        if backend == "nccl":
-            guard.is_broken = nccl.make_default_group(store, placement.rank, placement.size, timeout)
-        else:
-            dist.init_process_group(
-                backend, store=store, rank=placement.rank, world_size=placement.size, timeout=NO_TIMEOUT
-            )
-        control = dist.group.WORLD if backend == "gloo" else dist.new_group(backend="gloo", timeout=NO_TIMEOUT)
+    with watching_agent(placement.rank):
+        meeting = meet(placement, timeout)
+        with naming(meeting.at):
+            own = {**code_facts(), "device": device.type, "transport": transport, "timeout": f"{timeout:g}"}
+            own[TOKEN] = "a value" if os.environ.get(TOKEN) else "none"  # not compared: it would pass through the store
+            agree_by_store(meeting.store, placement, {**own, **(settings or {})}, timeout)
+            if device.type == "cuda" and torch.cuda.is_available():
+                torch.cuda.set_device(device)
+            guard = _start_guard_on_all(meeting, placement, timeout)
+    with naming(meeting.at):
+        control = _make_groups(guard, meeting.store, transport, device, placement, timeout)
     comm: Comm
     if transport == "mpi4py":
         from pgccd.distributed.comm.mpi_comm import MpiComm
@@ -123,6 +119,26 @@ def connect(
     else:
         comm = TorchComm(dist.group.WORLD, control, guard, dist.destroy_process_group)
     return comm
+
+
+def _make_groups(
+    guard: Guard,
+    store: dist.Store,
+    transport: Transport,
+    device: torch.device,
+    placement: Placement,
+    timeout: float,
+) -> dist.ProcessGroup | None:
+    """The default process group; returns the one of Gloo, for the host's messages."""
+    backend = _backend(transport, device, placement, store)
+    with guard.waiting("connection"):
+        if backend == "nccl":
+            guard.is_broken = nccl.make_default_group(store, placement.rank, placement.size, timeout)
+        else:
+            dist.init_process_group(
+                backend, store=store, rank=placement.rank, world_size=placement.size, timeout=NO_TIMEOUT
+            )
+        return dist.group.WORLD if backend == "gloo" else dist.new_group(backend="gloo", timeout=NO_TIMEOUT)
 
 
 def _connect_group(
@@ -190,7 +206,10 @@ def _start_guard(meeting: Meeting, placement: Placement, timeout: float) -> Guar
     if placement.rank == 0:
         hub = Hub(LOOPBACK if meeting.is_local else "", token, placement.size, timeout)
         meeting.store.set("guard/port", str(hub.port))
-    port = int(meeting.store.get("guard/port"))
+    text = meeting.store.get("guard/port").decode(errors="replace")
+    if not re.fullmatch("[0-9]{1,5}", text) or not 0 < int(text) < 1 << 16:  # anybody may write to a store
+        raise RuntimeError(f"guard: the port of rank 0 in the store has been overwritten with {text[:40]!r}")
+    port = int(text)
     who = {"rank": placement.rank, "name": process_name()}
     return Guard(join((host, port), token, who, timeout), placement.rank, timeout, hub)
 
@@ -220,7 +239,7 @@ def _use_interface(guard: Guard, meeting: Meeting, placement: Placement) -> None
     address = guard.address
     # Ranks on the machine of rank 0 use the interface by which the others reach it.
     if placement.rank == 0 or is_loopback(address):
-        address = meeting.store.get("guard/address").decode()
+        address = meeting.store.get("guard/address").decode(errors="replace")
     interface = interface_of(address) if address else None
     if interface is not None:
         for name in _INTERFACES:

@@ -49,7 +49,7 @@ def read_private(path: Path) -> bytes:
             status = os.fstat(file.fileno())
             is_own = status.st_uid == os.getuid() and not status.st_mode & 0o077
             return file.read(_MOST_BYTES) if is_own else b""
-    except OSError:
+    except (OSError, ValueError):  # ValueError: no path can be so
         return b""
 
 

@@ -44,6 +44,7 @@ class Meeting:
     store: dist.Store
     host: str  #: address of rank 0
     is_local: bool  #: whether that address is reachable from this machine only
+    at: str  #: where the store is, for messages
 
 
 def meet(placement: Placement, timeout: float) -> Meeting:
@@ -57,9 +58,10 @@ def meet(placement: Placement, timeout: float) -> Meeting:
     if placement.launcher == "torchrun":
         run = os.environ.get("TORCHELASTIC_RUN_ID", "run")
         host, port = _variable("MASTER_ADDR"), _port(_variable("MASTER_PORT"))
-        common = connect_store(host, port, placement, timeout, keeps=not agent_keeps_store())
-        store = agree_on_start(dist.PrefixStore(f"pgccd/{run}", common), placement, timeout)
-        return Meeting(store, host, is_loopback(host) or placement.is_one_machine)
+        with naming(at := f"{host}, port {port} (MASTER_ADDR, MASTER_PORT)"):
+            common = connect_store(host, port, placement, timeout, keeps=not agent_keeps_store())
+            store = agree_on_start(dist.PrefixStore(f"pgccd/{run}", common), placement, timeout)
+        return Meeting(store, host, is_loopback(host) or placement.is_one_machine, at)
     if placement.launcher == "srun":
         return _meet_by_srun(placement, timeout)
     return _meet_by_mpi(placement, timeout)
@@ -68,6 +70,21 @@ def meet(placement: Placement, timeout: float) -> Meeting:
 def agent_keeps_store() -> bool:
     """Whether torchrun's agent, not rank 0, hosts the store, so that it outlives the ranks."""
     return os.environ.get("TORCHELASTIC_USE_AGENT_STORE") == "True"
+
+
+@contextmanager
+def naming(at: str) -> Iterator[None]:
+    """Raises RuntimeError that names MASTER_ADDR if the connection to the store is lost meanwhile.
+
+    Args:
+        at: where the store is.
+    """
+    try:
+        yield
+    except dist.DistNetworkError as error:
+        keeper = "torchrun's agent there" if agent_keeps_store() else "rank 0"
+        reason = str(error).splitlines()[0]
+        raise RuntimeError(f"MASTER_ADDR: the store at {at} is lost: {keeper} has died ({reason})") from error
 
 
 def agree_on_start(store: dist.Store, placement: Placement, timeout: float) -> dist.Store:
@@ -83,6 +100,8 @@ def agree_on_start(store: dist.Store, placement: Placement, timeout: float) -> d
     store.set(f"asks/{placement.rank}", name)
     try:
         start = store.get(f"start for {name}").decode()
+    except dist.DistNetworkError:
+        raise
     except dist.DistError as error:
         raise RuntimeError(f"rank 0 did not connect within {timeout:g} s ({error})") from error
     store.set(f"{start}/here/{placement.rank}", "")
@@ -114,18 +133,20 @@ def _meet_by_srun(placement: Placement, timeout: float) -> Meeting:
     host = os.environ.get("MASTER_ADDR") or (LOOPBACK if placement.is_one_machine else None)
     given = os.environ.get("MASTER_PORT") or os.environ.get("SLURM_STEP_RESV_PORTS", "").partition("-")[0]
     if given:
-        host = host or first_host(_variable("SLURM_STEP_NODELIST"))
-        return Meeting(connect_store(host, _port(given), placement, timeout, keeps=True), host, is_loopback(host))
+        host, port = host or first_host(_variable("SLURM_STEP_NODELIST")), _port(given)
+        with naming(at := f"{host}, port {port} (MASTER_ADDR, MASTER_PORT)"):
+            return Meeting(connect_store(host, port, placement, timeout, keeps=True), host, is_loopback(host), at)
     file = _AddressFile(re.sub(r"[^\w.-]", "_", name))
     if placement.rank != 0:
         host, port = file.wait(timeout)
-        store: dist.Store = connect_store(host, port, placement, timeout, keeps=True)
-        return Meeting(agree_on_start(store, placement, timeout), host, is_loopback(host))
+        with naming(at := f"{host}, port {port}"):
+            store: dist.Store = connect_store(host, port, placement, timeout, keeps=True)
+            return Meeting(agree_on_start(store, placement, timeout), host, is_loopback(host), at)
     hosts = [host] if host else [first_host(_variable("SLURM_STEP_NODELIST")), *outer_addresses()]
     kept = connect_store(hosts[0], 0, placement, timeout, keeps=True)
     with file.told(hosts, kept.port):
         store = agree_on_start(kept, placement, timeout)
-    return Meeting(store, hosts[0], is_loopback(hosts[0]))
+    return Meeting(store, hosts[0], is_loopback(hosts[0]), f"{hosts[0]}, port {kept.port}")
 
 
 class _AddressFile:
@@ -222,11 +243,11 @@ def meet_at_first(
         where = [hosts, store.port]
     hosts, port = broadcast(where)
     if store is not None:
-        return Meeting(store, hosts[0], is_one_machine)
+        return Meeting(store, hosts[0], is_one_machine, f"{hosts[0]}, port {port}")
     for host in hosts:
-        with suppress(OSError):
+        with suppress(OSError), naming(at := f"{host}, port {port}"):
             socket.create_connection((host, port), timeout=_REACH_SECONDS).close()
-            return Meeting(connect_store(host, port, placement, timeout, keeps=True), host, is_one_machine)
+            return Meeting(connect_store(host, port, placement, timeout, keeps=True), host, is_one_machine, at)
     raise RuntimeError(f"MASTER_ADDR: rank 0 cannot be reached at {' or '.join(hosts)}, port {port}")
 
 
@@ -340,7 +361,7 @@ def _number(name: str) -> int:
 
 
 def _port(value: str) -> int:
-    if not value.isdecimal() or not 0 < int(value) < 1 << 16:
+    if not re.fullmatch("[0-9]{1,5}", value) or not 0 < int(value) < 1 << 16:
         raise ValueError(f"MASTER_PORT: expected a number below 65536, got {value!r}")
     return int(value)
 

@@ -41,7 +41,7 @@ def share_token(store: dist.Store, placement: Placement, timeout: float) -> byte
         return given.encode()
     if placement.rank == 0:
         return _hand_out(store, placement.size, timeout)
-    path = store.get("token/file").decode()
+    path = store.get("token/file").decode(errors="replace")
     found = _look_for(Path(path), 0.0 if placement.is_one_machine else min(_SEEN_WITHIN, timeout)) if path else b""
     store.add("token/looked", 1)
     if found:

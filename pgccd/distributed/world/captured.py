@@ -156,7 +156,7 @@ class CapturedWorld(RankSteps[WorldStep, _Committed, "_WorldGraph"]):
         if resolve and graph:
             raise ValueError("graph: steps that are resolved cannot be replayed; leave it out, they run eagerly")
         graph = not resolve and can_replay(world.comm, world.id.device) if graph is None else graph
-        super().__init__(world._rank, graph and world.census.count > 0)
+        super().__init__(world._rank, graph)
         self._world, self._motion, self._response = world, motion, response
         self._resolve, self._movable = resolve, movable
 
@@ -208,6 +208,14 @@ class CapturedWorld(RankSteps[WorldStep, _Committed, "_WorldGraph"]):
         pcs, contacts = world.comm.sum(counts).tolist()
         world.move(**_with_position(self._response(bodies, motion, answer)))
         return WorldStep(pcs, contacts, replayed=False)
+
+    def _fits(self, graph: _WorldGraph) -> bool:
+        # Bodies that were added may have brought columns; all ranks have the same.
+        return graph.columns.keys() == self._columns.keys() and super()._fits(graph)
+
+    def _try_to_capture(self, index: int) -> _WorldGraph | None:
+        # There is no body whose columns could be padding.
+        return super()._try_to_capture(index) if self._world.census.count else None
 
     def _graph_of(self, index: int, decomposition: Decomposition, sizes: HaloSizes, rows: int) -> _WorldGraph:
         world = self._world

@@ -11,7 +11,7 @@ from typing import Any
 import torch
 
 from pgccd import arguments
-from pgccd.checkpoint.files import CheckpointError, checked_keep
+from pgccd.checkpoint.files import CheckpointError, checked_keep, whole_number
 from pgccd.checkpoint.stored import Index, Stored, has_checkpoint
 from pgccd.distributed.checkpoint.partition import load_partition, stored_kind
 from pgccd.distributed.checkpoint.reading import load_share, open_stored
@@ -44,7 +44,7 @@ def save_state(comm: Comm, folder: str | PathLike[str], state: WorldState, keep:
         tables[_VERTICES] = state.vertices.columns
     cut = {"partition": state.cut.partition, "axes": int(state.cut.axes), "cells": state.cut.cells}
     cut |= {"lower": [float(x) for x in state.cut.lower], "upper": [float(x) for x in state.cut.upper]}
-    header = {"meshes": meshes_digest(state.meshes.meshes), "cut": cut}
+    header = {"meshes": meshes_digest(state.meshes.meshes), "cut": cut, "next_id": state.next_id}
     with hold_together(comm, root):
         writer = CheckpointWriter(comm, root, KIND, keep)
         writer.begin(state.steps_made, header, tables, state.partition)
@@ -66,14 +66,14 @@ def load_state(
         raise of_all_ranks(FileNotFoundError(f"folder: no checkpoint at {root}"))
     stored = open_stored(comm, lambda index: _stored(root, index))
 
-    def prepare() -> tuple[MeshSet, Partition]:
+    def prepare() -> tuple[MeshSet, Partition, int]:
         where = arguments.device(device)
         mesh_set = MeshSet(meshes, where)
         if meshes_digest(mesh_set.meshes) != stored.header.get("meshes"):
             raise ValueError(f"meshes: the world in {root} was saved with others")
-        return mesh_set, _cut(stored).uniform(comm.size, where, balance, stored_kind(stored))
+        return mesh_set, _cut(stored).uniform(comm.size, where, balance, stored_kind(stored)), _next_id(stored)
 
-    mesh_set, uniform = together(comm, prepare)
+    mesh_set, uniform, next_id = together(comm, prepare)
     partition = load_partition(comm, stored, uniform)
     ragged = (_COUNT, _VERTICES) if _VERTICES in stored.layout else None
     found = load_share(comm, stored, _BODIES, ragged)
@@ -103,7 +103,10 @@ def load_state(
         state = together(comm, check).with_ids(comm, are_given=True)
     except (TypeError, ValueError) as error:
         raise CheckpointError(f"{stored.folder} is not the checkpoint of a world: {error}") from error
-    return replace(state, partition=partition, steps_made=stored.steps_made)
+    if next_id < state.next_id:
+        problem = f"there is an id {state.next_id - 1}, but the next one is {next_id}"
+        raise of_all_ranks(CheckpointError(f"{stored.folder} is not the checkpoint of a world: {problem}"))
+    return replace(state, partition=partition, steps_made=stored.steps_made, next_id=next_id)
 
 
 def _folder_given(comm: Comm, folder: str | PathLike[str]) -> Path:
@@ -124,6 +127,13 @@ def _stored(folder: Path, index: Index | None) -> Stored:
         problem = f"without {missing}" if missing else f"with unknown columns {unknown} or tables"
         raise CheckpointError(f"{stored.folder} is not the checkpoint of a world: {problem}")
     return stored
+
+
+def _next_id(stored: Stored) -> int:
+    try:
+        return whole_number(stored.header.get("next_id"))
+    except ValueError as error:
+        raise CheckpointError(f"{stored.folder} is not the checkpoint of a world: next_id: {error}") from error
 
 
 def _cut(stored: Stored) -> Cut:

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from pgccd import arguments
+from pgccd.checkpoint.files import rows_hash
 from pgccd.detection.bodies import MovingBodies
 from pgccd.distributed.comm.exchange import Columns, make_route
 from pgccd.distributed.comm.interface import Comm
-from pgccd.distributed.halo.vertices import vertex_counts
+from pgccd.distributed.guard import of_all_ranks
+from pgccd.distributed.halo.vertices import Vertices, vertex_counts
 from pgccd.distributed.launch.agreement import together
 from pgccd.geometry.mesh import MeshSet
 from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
@@ -65,6 +67,10 @@ def require_rows(motion: RigidMotion | VertexMotion | Trajectory, meshes: MeshSe
         raise ValueError(f"motion: has {given} {what}, this rank owns {expected}")
 
 
+#: Of int64.
+LARGEST_ID = 2**63 - 1
+
+
 def ids_given(id: Tensor | None, count: int, device: torch.device) -> Tensor:
     """(count,) int64: the given ids, or 0 to count - 1."""
     if id is None:
@@ -74,6 +80,14 @@ def ids_given(id: Tensor | None, count: int, device: torch.device) -> Tensor:
     if count and int(id.min()) < 0:
         raise ValueError(f"id: expected numbers >= 0, got {int(id.min())}")
     return id.to(device)
+
+
+def require_ids(ids: Tensor, device: torch.device) -> None:
+    """Raises TypeError or ValueError unless these are int64 numbers on a device."""
+    if not isinstance(ids, Tensor) or ids.dtype != torch.int64 or ids.layout != torch.strided:
+        raise TypeError(f"ids: expected an int64 tensor, got {arguments.describe(ids)}")
+    if ids.device != device:
+        raise ValueError(f"ids: expected them on {device}, got {ids.device}")
 
 
 # Names of arguments of `World.move`.
@@ -114,6 +128,49 @@ def require_unique(comm: Comm, id: Tensor) -> None:
     together(comm, check)
 
 
+def require_different(comm: Comm, columns: Columns, vertices: Vertices | None) -> None:
+    """Raises ValueError, on all ranks, if two ranks have the same bodies: all columns but ids and payload are equal."""
+    of_scene = _on_host({name: columns[name] for name in columns if name != "id" and not name.startswith(".")})
+    count = len(columns["id"])
+    digest = rows_hash(of_scene, 0, 0) + (0 if vertices is None else rows_hash(_on_host(vertices.columns), 1, 0))
+    mine = torch.tensor([count, digest % 2**63])
+    first: dict[tuple[int, int], int] = {}
+    for rank, (bodies, hash) in enumerate(comm.all_gather(mine).tolist()):
+        other = first.setdefault((bodies, hash), rank)
+        if bodies and other != rank:
+            raise of_all_ranks(
+                ValueError(
+                    f"position: expected each body on one rank, but ranks {other} and {rank} passed the same ones "
+                    f"({bodies}), without `id`: pass a share on each rank, or give different bodies different ids"
+                )
+            )
+
+
+def _on_host(columns: Columns) -> Columns:
+    return {name: column.cpu() for name, column in columns.items()}
+
+
+def payload_asked(payload: Collection[str], columns: Columns) -> list[str]:
+    """The names in `columns` of those that contacts are to carry, in the same order on all ranks.
+
+    Args:
+        payload: as for `World.step`.
+        columns: of the world; names of the payload begin with ".".
+
+    Raises:
+        TypeError, ValueError: naming the argument.
+    """
+    is_list = isinstance(payload, Collection) and not isinstance(payload, (str, bytes, Tensor))
+    if not is_list or not all(isinstance(name, str) for name in payload):
+        given = arguments.describe(payload)
+        raise TypeError(f'payload: expected names, such as ("velocity", "mass"), got {given}')
+    known = {name.removeprefix("."): name for name in columns if name.startswith(".")} | {"position": "position"}
+    for name in payload:
+        if name not in known:
+            raise ValueError(f"payload: expected some of {sorted(known)}, got {name!r}")
+    return [known[name] for name in sorted(set(payload))]
+
+
 def new_values(new: Mapping[str, Tensor], columns: Columns, vertices: Columns) -> tuple[Columns, Columns]:
     """New columns from the arguments of `World.move`, validated.
 
@@ -146,10 +203,17 @@ def new_values(new: Mapping[str, Tensor], columns: Columns, vertices: Columns) -
     return of_bodies, of_vertices
 
 
-def require_positions(position: Tensor) -> None:
-    """Raises ValueError naming the first of positions (N, 3) that is not finite, or too large."""
+def require_positions(position: Tensor) -> Tensor:
+    """Positions (N, 3). Raises TypeError or ValueError if they are none, naming the first that is not finite, or too
+    large.
+    """
+    position = arguments.real_tensor(position, "position")
+    arguments.refuse_gradient(position, "position")
+    if position.dim() != 2 or position.shape[1] != 3 or position.is_meta:
+        raise ValueError(f"position: expected shape (N, 3), got {arguments.describe(position)}")
     wrong = torch.nonzero(~(position.abs() <= LARGEST_COORDINATE).all(dim=1))
     if len(wrong):
         row = int(wrong[0])
         expected = f"finite numbers up to {LARGEST_COORDINATE:g}"
         raise ValueError(f"position: row {row}: expected {expected}, got {position[row].tolist()}")
+    return position

@@ -15,12 +15,20 @@ from pgccd.distributed.checkpoint.partition import partition_header
 from pgccd.distributed.comm.exchange import Columns
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.detection.options import SearchOptions
+from pgccd.distributed.guard import of_all_ranks
 from pgccd.distributed.halo.vertices import Vertices, vertex_counts
 from pgccd.distributed.launch.agreement import require_agreement, together
 from pgccd.distributed.partition.balance import BalanceOptions
 from pgccd.distributed.partition.cut import Cut
 from pgccd.distributed.partition.interface import Partition
-from pgccd.distributed.world.columns import ids_given, payload_columns, require_positions, require_unique
+from pgccd.distributed.world.columns import (
+    LARGEST_ID,
+    ids_given,
+    payload_columns,
+    require_different,
+    require_positions,
+    require_unique,
+)
 from pgccd.geometry.digest import meshes_digest
 from pgccd.geometry.mesh import Mesh, MeshSet
 from pgccd.geometry.scene import Scene
@@ -38,19 +46,27 @@ class WorldState:
     vertices: Vertices | None  #: that migrate with the bodies
     steps_made: int = 0
     dtype: str = "float64"  #: of the positions as they were given
+    next_id: int = 0  #: larger than all ids that bodies have had
 
     def with_ids(self, comm: Comm, are_given: bool) -> WorldState:
-        """This state with unique ids; ids that were not given become consecutive, rank by rank.
+        """This state with unique ids; ids that were not given become consecutive from `next_id` on, rank by rank.
 
         Raises:
-            ValueError: two bodies have the same id; on all ranks.
+            ValueError: two bodies have the same id, or ranks without ids passed the same bodies; on all ranks.
         """
         id = self.columns["id"]
         if not are_given:
+            require_different(comm, self.columns, self.vertices)
             counts = comm.all_gather(torch.tensor([len(id)]))[:, 0].tolist()
-            id = id + sum(counts[: comm.rank])
+            if sum(counts) and self.next_id + sum(counts) > LARGEST_ID + 1:
+                raise of_all_ranks(
+                    ValueError(f"id: {sum(counts)} bodies, but no ids are left above {self.next_id - 1}")
+                )
+            id = id + self.next_id + sum(counts[: comm.rank])
         require_unique(comm, id)
-        return replace(self, columns=self.columns | {"id": id})
+        largest = int(id.max()) if len(id) else -1
+        next_id = max(self.next_id, 1 - int(comm.min(torch.tensor([-largest]))))
+        return replace(self, columns=self.columns | {"id": id}, next_id=next_id)
 
 
 def state_given(
@@ -77,13 +93,42 @@ def state_given(
     Raises:
         TypeError, ValueError: naming the argument.
     """
-    position = arguments.real_tensor(position, "position")
-    arguments.refuse_gradient(position, "position")
-    if position.dim() != 2 or position.shape[1] != 3 or position.is_meta:
-        raise ValueError(f"position: expected shape (N, 3), got {arguments.describe(position)}")
-    require_positions(position)
+    position = require_positions(position)
     mesh_set = MeshSet(meshes, position.device)
     partition = cut.uniform(ranks, position.device, balance)
+    columns, vertices = bodies_given(
+        mesh_set,
+        position,
+        id=id,
+        mesh_index=mesh_index,
+        self_collision=self_collision,
+        optional=optional,
+        payload=payload,
+        vertex_payload=vertex_payload,
+    )
+    return WorldState(mesh_set, cut, partition, columns, vertices, dtype=arguments.dtype_name(position.dtype))
+
+
+def bodies_given(
+    mesh_set: MeshSet,
+    position: Tensor,
+    *,
+    id: Tensor | None,
+    mesh_index: Tensor | None,
+    self_collision: Tensor | bool,
+    optional: Mapping[str, Tensor | None],
+    payload: dict[str, Tensor] | None,
+    vertex_payload: dict[str, Tensor] | None,
+) -> tuple[Columns, Vertices | None]:
+    """The columns and vertices of bodies from this rank's arguments, validated.
+
+    Args:
+        mesh_set: on the device of `position`.
+        position, id, mesh_index, self_collision, optional, payload, vertex_payload: as for `state_given`.
+
+    Raises:
+        TypeError, ValueError: naming the argument.
+    """
     index = torch.zeros(len(position), dtype=torch.int32) if mesh_index is None else mesh_index
     given: dict[str, Any] = {name: column for name, column in optional.items() if column is not None}
     scene = Scene(mesh_set, index, self_collision=self_collision, **given)  # validates them
@@ -102,7 +147,7 @@ def state_given(
     columns |= payload_columns({} if payload is None else payload, "payload", len(position), position.device)
     if both := sorted(set(of_vertices) & set(columns)):
         raise ValueError(f"vertex_payload[{both[0][1:]!r}]: payload has a tensor of this name too")
-    return WorldState(mesh_set, cut, partition, columns, vertices, dtype=arguments.dtype_name(position.dtype))
+    return columns, vertices
 
 
 def require_alike(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
@@ -20,28 +20,38 @@ from pgccd.detection.checks import Initial
 from pgccd.detection.contacts import CollidingPairs, Contacts
 from pgccd.detection.passes import search_seconds
 from pgccd.detection.trajectories import TrajectoryContacts
-from pgccd.distributed.comm.exchange import take_rows
+from pgccd.distributed.comm.exchange import Columns, take_rows
 from pgccd.distributed.comm.interface import Alone, Comm
 from pgccd.distributed.detection.options import SearchOptions
-from pgccd.distributed.detection.report import earliest_for_all, first_toi_of, tell_owners
+from pgccd.distributed.detection.report import earliest_for_all, tell_owners
 from pgccd.distributed.detection.segments import Segments
 from pgccd.distributed.detection.share import Share
 from pgccd.distributed.halo.migrate import Census, migrate
 from pgccd.distributed.halo.vertices import Vertices
-from pgccd.distributed.launch.agreement import require_agreement, together
+from pgccd.distributed.launch.agreement import agree_on_step, together
 from pgccd.distributed.partition.balance import PAIR_COST, BalanceOptions, RankLoads
 from pgccd.distributed.partition.cut import DEFAULT_AXES, DEFAULT_CELLS, Cut
 from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.distributed.partition.interface import Partition, Point, Triple
 from pgccd.distributed.steps.rank import Rank
 from pgccd.distributed.world.checkpoint import load_state, save_state
-from pgccd.distributed.world.columns import columns_to_send, new_values, require_rows, scene_columns, scene_of
+from pgccd.distributed.world.columns import (
+    columns_to_send,
+    new_values,
+    payload_asked,
+    require_rows,
+    scene_columns,
+    scene_of,
+)
 from pgccd.distributed.world.options import NewWorld, WorldOptions
+from pgccd.distributed.world.own_bodies import OwnBodies
+from pgccd.distributed.world.population import with_more, without
 from pgccd.distributed.world.resolve import (
     ResolutionEstimates,
     ResolvedStep,
     WorldResolution,
     options_of_resolution,
+    resolve_all,
     vertices_of,
 )
 from pgccd.distributed.world.state import WorldState, agreed_partition, require_alike, state_given
@@ -51,13 +61,17 @@ from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import PathKind, RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
 from pgccd.resolution.results import M
-from pgccd.resolution.trajectories import TrajectoryResolution, resolve_segments
+from pgccd.resolution.trajectories import TrajectoryResolution
 from pgccd.runtime.stages import StageClock
 
+#: Names of payload.
+Names = Collection[str]
+#: Which bodies may be stopped.
+Movable = Tensor | Sequence[bool] | None
 R = TypeVar("R", bound=Contacts | CollidingPairs)
 
 
-class World(Generic[R]):
+class World(OwnBodies, Generic[R]):
     """Bodies distributed over ranks by position. Made by `create` or `load`, on all ranks together.
 
     Bodies migrate to the rank that owns the cell of their position, at the beginning and after each `move`. Rows of
@@ -70,6 +84,7 @@ class World(Generic[R]):
         census: number and sum of the ids of all bodies, which migration preserves.
         columns: of this rank's own bodies, by name; names of the payload begin with ".".
         steps_made: number of calls of `step`. A loop that searches a step several times has to count its own steps.
+        next_id: larger than all ids that bodies of this world have had; new bodies may have this one or larger ones.
         found: pairs and contacts of the last step; None before the first.
 
     Example:
@@ -99,7 +114,7 @@ class World(Generic[R]):
         self.found: Share | None = None
         self.steps_made, self._seconds = state.steps_made, 0.0
         self.columns, self._vertices = state.columns, state.vertices
-        self._scene: Scene | None = None
+        self.next_id = state.next_id
         self._resolution_estimates = ResolutionEstimates()
 
     @overload
@@ -177,7 +192,8 @@ class World(Generic[R]):
             lower, upper: corners of the world's box, length units. Bodies may leave it.
             position: (N, 3) float64 positions of the origins of this rank's share of bodies, length units, world frame,
                 on the device to use.
-            id: (N,) int64 global ids >= 0, unique over all ranks. Default: consecutive, rank by rank.
+            id: (N,) int64 global ids >= 0, unique over all ranks. Default: consecutive, rank by rank; an error if two
+                ranks pass the same bodies, as if each were to pass all.
             mesh_index: (N,) integers: mesh of each body. Default: the first.
             group, mask, world, static, margin: (N,), as for `pgccd.Scene`. Either on all ranks or on none.
             self_collision: (N,) bool or bool: which deforming bodies are tested against themselves.
@@ -272,8 +288,9 @@ class World(Generic[R]):
         """Restores the newest checkpoint in a folder, see `save`. The steps that follow are bitwise identical to those
         of the saved world.
 
-        The checkpoint holds the bodies with all columns, the number of steps made, and the partition. The owners of all
-        parts of space are restored on the same number of ranks; another number starts with a uniform partition.
+        The checkpoint holds the bodies with all columns, the number of steps made, the next id, and the partition. The
+        owners of all parts of space are restored on the same number of ranks; another number starts with a uniform
+        partition.
 
         Args:
             folder: as for `save`.
@@ -317,8 +334,12 @@ class World(Generic[R]):
         Example:
             >>> world.save("out/world")
         """
-        state = WorldState(self._meshes, self._cut, self.partition, self.columns, self._vertices, self.steps_made)
-        return save_state(self.comm, folder, state, keep)
+        return save_state(self.comm, folder, self._state, keep)
+
+    @property
+    def _state(self) -> WorldState:
+        meshes, cut, partition = self._meshes, self._cut, self.partition
+        return WorldState(meshes, cut, partition, self.columns, self._vertices, self.steps_made, next_id=self.next_id)
 
     @property
     def partition(self) -> Partition:
@@ -329,144 +350,134 @@ class World(Generic[R]):
     def partition(self, partition: Partition) -> None:
         self._rank.partition = agreed_partition(self.comm, partition)
 
-    @property
-    def id(self) -> Tensor:
-        """(N,) int64, ascending: this rank's own bodies."""
-        return self.columns["id"]
-
-    @property
-    def position(self) -> Tensor:
-        """(N, 3) float64: positions of their origins, as last given."""
-        return self.columns["position"]
-
-    @property
-    def mesh_index(self) -> Tensor:
-        """(N,) int32."""
-        return self.columns["mesh_index"]
-
-    @property
-    def payload(self) -> dict[str, Tensor]:
-        """The current per-body payload, by name."""
-        return {name[1:]: column for name, column in self.columns.items() if name.startswith(".")}
-
-    @property
-    def vertex_payload(self) -> dict[str, Tensor]:
-        """The current per-vertex payload, by name, of this rank's own bodies by ascending id."""
-        columns = {} if self._vertices is None else self._vertices.columns
-        return {name[1:]: column for name, column in columns.items()}
-
-    @overload
-    def step(self, motion: RigidMotion | VertexMotion, *, resolve: Literal[False] = False) -> R: ...
-    @overload
-    def step(self: World[Contacts], motion: Trajectory, *, resolve: Literal[False] = False) -> TrajectoryContacts: ...
-    @overload
-    def step(self: World[CollidingPairs], motion: Trajectory, *, resolve: Literal[False] = False) -> CollidingPairs: ...
-    @overload
-    def step(self, motion: Trajectory, *, resolve: Literal[False] = False) -> TrajectoryContacts | CollidingPairs: ...
     @overload
     def step(
-        self, motion: M, *, resolve: Literal[True], movable: Tensor | Sequence[bool] | None = None
+        self, motion: RigidMotion | VertexMotion, *, payload: Names = (), resolve: Literal[False] = False
+    ) -> R: ...
+    @overload
+    def step(
+        self: World[Contacts], motion: Trajectory, *, payload: Names = (), resolve: Literal[False] = False
+    ) -> TrajectoryContacts: ...
+    @overload
+    def step(
+        self: World[CollidingPairs], motion: Trajectory, *, payload: Names = (), resolve: Literal[False] = False
+    ) -> CollidingPairs: ...
+    @overload
+    def step(
+        self, motion: Trajectory, *, payload: Names = (), resolve: Literal[False] = False
+    ) -> TrajectoryContacts | CollidingPairs: ...
+    @overload
+    def step(
+        self, motion: M, *, payload: Names = (), resolve: Literal[True], movable: Movable = None
     ) -> WorldResolution[M]: ...
     @overload
-    def step(
-        self, motion: Trajectory, *, resolve: Literal[True], movable: Tensor | Sequence[bool] | None = None
-    ) -> TrajectoryResolution: ...
+    def step(self, motion: Trajectory, *, resolve: Literal[True], movable: Movable = None) -> TrajectoryResolution: ...
     def step(
         self,
         motion: RigidMotion | VertexMotion | Trajectory,
         *,
+        payload: Names = (),
         resolve: bool = False,
-        movable: Tensor | Sequence[bool] | None = None,
+        movable: Movable = None,
     ) -> Contacts | CollidingPairs | WorldResolution[Any] | TrajectoryResolution:
         """Finds the collisions of one step, or of all steps of a trajectory; or how far the bodies can move without
         any.
 
+        A contact between bodies of two ranks is returned on both ranks, with the same bits in every column, `payload`
+        included; a contact between two own bodies once. So both ranks compute the same impulse from it, if elementwise
+        from a row; `sum_per_body` adds impulses to bodies. With report="earliest" the first contact of the scene is
+        returned, on every rank.
+
         Args:
             motion: of this rank's own bodies, in the order of `id`; of the same kind on all ranks.
+            payload: names of per-body payload, or "position" (at t = 0), that contacts carry; the same on all ranks.
+                They are sent with the ghosts. Not for a trajectory that is resolved, which has no contacts.
             resolve: the same on all ranks. True: how far each body moves such that none meets another, by the rule of
                 `pgccd.resolve` and equal to its result to the bit; with the world's min_separation, tolerance and
                 initial, whatever its report. A body that is stopped in a segment of a trajectory stays there.
             movable: with `resolve`, (N,) bool: the own bodies that may be stopped. Default: all.
 
         Returns:
-            All contacts of this rank's own bodies, `pairs` in global ids i < j (i, i for a body with itself), sorted; a
-            contact between bodies of two ranks is returned on both. With report="earliest", the first contact of the
-            scene, on every rank. For a trajectory `TrajectoryContacts`, and with report="any" `CollidingPairs`, as from
-            `pgccd.detect`. `stats` are those of the pairs that this rank tested. With `resolve`, a
-            `WorldResolution`; of a trajectory a `pgccd.TrajectoryResolution`, of this rank's own bodies and in global
-            ids.
+            All contacts of this rank's own bodies, `pairs` in global ids i < j (i, i for a body with itself), sorted.
+            `payload[name]` are (K, 2, ...): of i, then of j, whichever ranks own them. For a trajectory
+            `TrajectoryContacts`, and with report="any" `CollidingPairs`, as from `pgccd.detect`. `stats` are those of
+            the pairs that this rank tested. With `resolve`, a `WorldResolution`, whose `hits` carry the payload; of a
+            trajectory a `pgccd.TrajectoryResolution`, of this rank's own bodies and in global ids.
 
         Raises:
-            TypeError: the motion is of another type.
-            ValueError: the motion has a wrong number of bodies, vertices or segments, or another path.
+            TypeError: the motion is of another type, or `payload` no names.
+            ValueError: the motion has a wrong number of bodies, vertices or segments, or another path; or bodies have
+                no such payload; ranks ask for different ones, on all ranks.
 
         Example:
-            >>> hits = world.step(motion)
+            >>> hits = world.step(motion, payload=("velocity",))
+            >>> of_i, of_j = hits.payload["velocity"].unbind(1)  # (K, 3) each
             >>> toi = world.first_toi(hits)
             >>> resolved = world.step(motion, resolve=True)
             >>> position, orientation = resolved.motion.at(1.0)
         """
-        arguments.flag(resolve, "resolve")
-        if movable is not None and not resolve:
-            raise ValueError("movable: can only be given with resolve=True")
-        if self.found is None:  # the first step
-            require_agreement(self.comm, {"motion": type(motion).__name__, "resolve": resolve})
+        self.comm.guard.activity = "step"
+
+        def settings() -> dict[str, Any]:
+            arguments.flag(resolve, "resolve")
+            if movable is not None and not resolve:
+                raise ValueError("movable: can only be given with resolve=True")
+            asked = payload_asked(payload, self.columns)
+            if asked and resolve and isinstance(motion, Trajectory):
+                raise ValueError("payload: a trajectory that is resolved has no contacts to carry it")
+            return {"motion": type(motion).__name__, "resolve": resolve, "payload": asked}
+
+        carried = {name: self.columns[name] for name in agree_on_step(self.comm, settings)["payload"]}
         if resolve:
-            return self._resolve(motion, movable)
+            return self._resolve(motion, movable, carried)
         if isinstance(motion, Trajectory):
             own = scene_columns(self.columns)
             require_rows(motion, self._meshes, own["mesh_index"])
-            segments = Segments.agreed(self.comm, motion.segment_count, own)
-            own = segments.repeat(own)
+            segments = Segments.agreed(self.comm, motion, own)
+            own, carried = segments.repeat(own), segments.repeat_rows(carried)
+            if (margin := motion._margins(own.get("margin"), len(self.id))) is not None:
+                own["margin"] = margin
             # The earliest is selected from the first contacts of all segments.
             report: narrow.Report = "first" if self.options.report == "earliest" else self.options.report
             options = replace(self.options, report=report)
-            share = self._search(own["id"], scene_of(self._meshes, own), motion.steps(), options)
-            return segments.contacts_for_owners(self.comm, share, self.options.report)
-        share = self._search(self.id, self._current_scene(), motion, self.options)
-        return earliest_for_all(self.comm, share) if self.options.report == "earliest" else tell_owners(share)
+            share = self._search(own["id"], scene_of(self._meshes, own), motion.steps(), options, carried)
+            return segments.contacts_for_owners(self.comm, share, self.options.report, carried)
+        share = self._search(self.id, self._current_scene(), motion, self.options, carried)
+        if self.options.report == "earliest":
+            return earliest_for_all(self.comm, share, payload=carried)
+        return tell_owners(share, carried)
 
-    def _resolve(
-        self, motion: Any, movable: Tensor | Sequence[bool] | None
-    ) -> WorldResolution[Any] | TrajectoryResolution:
+    def _resolve(self, motion: Any, movable: Movable, carried: Columns) -> WorldResolution[Any] | TrajectoryResolution:
         scene, fixed, steps_made = self._current_scene(), None, self.steps_made
         if movable is not None:
             fixed = bool_column(movable, "movable", scene.body_count, scene.device) == 0
 
         def step(motion: RigidMotion | VertexMotion) -> WorldResolution[Any]:
-            whole, clock = self._search(self.id, scene, motion, options_of_resolution(self.options)), StageClock()
+            clock, options = StageClock(), options_of_resolution(self.options)
+            whole = self._search(self.id, scene, motion, options, carried)
             decomposition, estimates = self._rank.decomposition, self._resolution_estimates
-            resolved = ResolvedStep(whole, scene, motion, fixed, decomposition, estimates, clock).resolve()
+            resolved = ResolvedStep(whole, scene, motion, fixed, carried, decomposition, estimates, clock).resolve()
             self._seconds += clock.work
             return resolved
 
-        if not isinstance(motion, Trajectory):
-            return step(motion)
-        require_agreement(self.comm, {"motion.segment_count": motion.segment_count})
-        require_rows(motion, self._meshes, scene.mesh_index)
-        resolved = resolve_segments(scene, motion, step)
+        resolved = resolve_all(self.comm, scene, motion, step)
         self.steps_made = steps_made + 1
         return resolved
 
-    def _current_scene(self) -> Scene:
-        """The scene of this rank's own bodies, kept until bodies migrate."""
-        if self._scene is None or self._scene.mesh_index is not self.mesh_index:
-            self._scene = scene_of(self._meshes, self.columns)
-        return self._scene
-
-    def _search(self, id: Tensor, scene: Scene, motion: RigidMotion | VertexMotion, options: SearchOptions) -> Share:
+    def _search(
+        self, id: Tensor, scene: Scene, motion: RigidMotion | VertexMotion, options: SearchOptions, carried: Columns
+    ) -> Share:
         if not isinstance(motion, (RigidMotion, VertexMotion)):
             kinds = "a pgccd.RigidMotion, VertexMotion or Trajectory"
             raise TypeError(f"motion: expected {kinds}, got {arguments.describe(motion)}")
         require_rows(motion, self._meshes, scene.mesh_index)
         if isinstance(motion, RigidMotion) and motion.path != self.path:
             raise ValueError(f"motion: its path is {motion.path!r}, the world's {self.path!r}")
-        self.comm.guard.activity = "step"
         clock = StageClock()
         with clock.stage("plan"):
             bodies = MovingBodies.of(scene, motion, wait=False)
         share, _ = self._rank.search(
-            columns_to_send(id, bodies),
+            columns_to_send(id, bodies) | carried,
             bodies,
             lambda ghosts: ghosts,
             options,
@@ -477,14 +488,6 @@ class World(Generic[R]):
         clock.add(search_seconds(share.contacts.stats))
         self.found, self._seconds, self.steps_made = share, clock.work, self.steps_made + 1
         return share
-
-    def first_toi(self, hits: Contacts | CollidingPairs) -> Tensor:
-        """(N,) float64: the first toi of each own body, or the first `time` of a trajectory; inf without a contact.
-
-        Args:
-            hits: as returned by `step`.
-        """
-        return first_toi_of(self.id, hits)
 
     def move(self, position: Tensor, **payload: Tensor) -> None:
         """Sets the positions of the bodies; those in cells of other ranks migrate there, with their payload.
@@ -508,6 +511,71 @@ class World(Generic[R]):
             self._vertices = Vertices(self._vertices.columns | of_vertices, self._vertices.count)
         self._change_hands()
 
+    def add(
+        self,
+        position: Tensor,
+        *,
+        id: Tensor | None = None,
+        mesh_index: Tensor | None = None,
+        group: Tensor | None = None,
+        mask: Tensor | None = None,
+        world: Tensor | None = None,
+        static: Tensor | None = None,
+        margin: Tensor | float | None = None,
+        self_collision: Tensor | bool = False,
+        payload: dict[str, Tensor] | None = None,
+        vertex_payload: dict[str, Tensor] | None = None,
+    ) -> Tensor:
+        """Adds bodies between two steps, which migrate to their owners. All ranks call it, each with any share of the
+        new bodies, or none (0 rows). Steps are then those of a world made with all these bodies.
+
+        Args:
+            position: (M, 3) positions of their origins, length units, world frame.
+            id: (M,) int64 global ids, unique over all ranks, from `next_id` on: no id is used twice, also not that of a
+                body that was removed. Default: consecutive from `next_id` on, rank by rank.
+            mesh_index, group, mask, world, static, margin, self_collision: as for `create`. Bodies without a column
+                that others have get the default of `pgccd.Scene`.
+            payload, vertex_payload: as for `create`; with the names, shapes and dtypes that this world has.
+
+        Returns:
+            (M,) int64: the ids of these bodies, in the order of `position`.
+
+        Raises:
+            TypeError, ValueError: naming the argument, or ranks pass the same bodies without ids; on all ranks. The
+                world is unchanged.
+
+        Example:
+            >>> id = world.add(x + 5.0, payload={"velocity": v})
+        """
+        optional = {"group": group, "mask": mask, "world": world, "static": static, "margin": margin}
+        given: dict[str, Any] = {"mesh_index": mesh_index, "self_collision": self_collision, "optional": optional}
+        given |= {"payload": payload, "vertex_payload": vertex_payload}
+        state, new = with_more(self.comm, self._state, position, id, given)
+        self._become(state)
+        return new
+
+    def remove(self, ids: Tensor) -> None:
+        """Removes bodies between two steps. All ranks call it; the bodies whose ids any rank passes are removed. Their
+        ids are not used again.
+
+        Args:
+            ids: (M,) int64 global ids of bodies of any rank; the same one may occur several times, on any ranks.
+
+        Raises:
+            TypeError, ValueError: naming the argument, or no body has an id; on all ranks. The world is unchanged.
+
+        Example:
+            >>> world.remove(world.id[world.position[:, 2] < -10.0])
+        """
+        self._become(without(self.comm, self._state, ids))
+
+    def _become(self, state: WorldState) -> None:
+        """Takes the bodies of another state."""
+        self.columns, self._vertices, self.next_id = state.columns, state.vertices, state.next_id
+        self._scene = None
+        self.census = Census.of_ranks(self.comm, self.id)
+        self._migrate()
+
     def loads(self) -> Tensor:
         """(ranks,) int64: the predicted cost of each rank in the last step, the same on all ranks."""
         if self.found is None:
@@ -522,6 +590,9 @@ class World(Generic[R]):
             loads = RankLoads(*comm.all_gather(torch.tensor(mine, dtype=torch.float64)).T.tolist())
             if rank.is_balance_due(self.steps_made, loads):
                 rank.balance(found, loads, self.steps_made)
-        after = migrate(rank.decomposition, self.columns, self.position, self._vertices)
+        self._migrate()
+
+    def _migrate(self) -> None:
+        after = migrate(self._rank.decomposition, self.columns, self.position, self._vertices)
         self.columns, self._vertices = after.columns, after.vertices
-        Census.of_ranks(comm, self.id).require(self.census)
+        Census.of_ranks(self.comm, self.id).require(self.census)

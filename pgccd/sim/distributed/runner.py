@@ -9,7 +9,7 @@ from typing import Any
 
 import torch
 
-from pgccd.checkpoint.files import KEEP, checked_keep
+from pgccd.checkpoint.files import FOLDER, KEEP, checked_keep, require_writable
 from pgccd.detection.broad import BroadPhase
 from pgccd.distributed.checkpoint.partition import load_partition, stored_kind
 from pgccd.distributed.checkpoint.reading import load_share, open_stored
@@ -239,6 +239,7 @@ def _continue(
     machine = _SimulationMachine(simulation, folder, meshes_digest(model.meshes.meshes), last_steps, keep)
     signed = (state_hash(simulation.state) + 2**63) % 2**64 - 2**63
     total = int(comm.sum(torch.tensor([signed]))) % 2**64
+    together(comm, lambda: require_writable(folder / FOLDER))
     log = together(comm, lambda: StepLog(folder, steps_made, f"{total:016x}") if comm.rank == 0 else None)
     made = drive(machine, log, steps_made, steps, checkpoint_every, progress)
     comm.barrier()  # rank 0 has completed the last checkpoint

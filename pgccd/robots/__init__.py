@@ -1,0 +1,18 @@
+"""Robot arms: from URDF and MJCF files into scenes, and certificates that their paths are free of contact between
+waypoints.
+
+Files are read by yourdfpy and MuJoCo (`pip install 'pgccd[robots]'`).
+"""
+
+from pgccd.robots.certificate import Certificate, Verdict
+from pgccd.robots.mjcf import load_mjcf
+from pgccd.robots.obstacles import Obstacles
+from pgccd.robots.path_search import certify
+from pgccd.robots.robot import Robot
+from pgccd.robots.urdf import load_urdf
+
+__all__ = ["Certificate", "Obstacles", "Robot", "Verdict", "certify", "load_mjcf", "load_urdf"]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,0 +1,107 @@
+"""What `certify` found."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+import torch
+from torch import Tensor
+
+
+class Verdict(IntEnum):
+    """What is known of a path.
+
+    Attributes:
+        FREE: certainly free of contact, between waypoints too.
+        COLLISION: surfaces touch in a configuration of the path.
+        NEAR: a pair comes within the resolution; no configuration was found in which surfaces touch.
+        START: a pair touches at the first waypoint.
+        INVALID: a configuration is not finite or larger than 1e6, or the pose of an obstacle is invalid.
+    """
+
+    FREE = 0
+    COLLISION = 1
+    NEAR = 2
+    START = 3
+    INVALID = 4
+
+
+@dataclass(eq=False, kw_only=True, repr=False)
+class Certificate:
+    """Results of B environments, each of which says nothing about others.
+
+    Attributes:
+        verdict: (B,) int8, see `Verdict`.
+        time: (B,) float64 in [0, 1]: the path is certainly free of contact before this part of its segments; inf if it
+            is free, 0 for `START` and `INVALID`. Never later than the first contact.
+        segment: (B,) int64: the segment of `time`, from waypoint `segment` to the next; -1 if free or invalid.
+        toi: (B,) float64 in [0, 1], within the segment; inf if free.
+        links: (B, 2) int64: what meets there: a link, or -1 - k for obstacle k; the number of links where nothing does.
+        point: (B, 3) float64, world frame: where they meet; nan if nothing does.
+        link_names: names of the robot's links.
+        steps: number of steps that were tested, the segments and the parts into which they were split.
+        searches: number of calls of `pgccd.detect` in sequence.
+
+    Example:
+        >>> result = robot.certify(torch.zeros(1, 2, robot.joint_count))
+        >>> result.free, result.time
+        (tensor([True]), tensor([inf], dtype=torch.float64))
+    """
+
+    verdict: Tensor
+    time: Tensor
+    segment: Tensor
+    toi: Tensor
+    links: Tensor
+    point: Tensor
+    link_names: list[str] = field(default_factory=list)
+    steps: int = 0
+    searches: int = 0
+
+    @classmethod
+    def _unknown(cls, environments: int, link_names: list[str], device: torch.device) -> Certificate:
+        """Of paths that are free until something is found."""
+
+        def filled(value: float, *shape: int, dtype: torch.dtype = torch.float64) -> Tensor:
+            return torch.full((environments, *shape), value, dtype=dtype, device=device)
+
+        return cls(
+            verdict=filled(Verdict.FREE, dtype=torch.int8),
+            time=filled(torch.inf),
+            segment=filled(-1, dtype=torch.int64),
+            toi=filled(torch.inf),
+            links=filled(len(link_names), 2, dtype=torch.int64),
+            point=filled(torch.nan, 3),
+            link_names=link_names,
+        )
+
+    @property
+    def free(self) -> Tensor:
+        """(B,) bool: whether the whole path is certainly free of contact."""
+        return self.verdict == int(Verdict.FREE)
+
+    def names(self, environment: int) -> tuple[str, ...]:
+        """The names of the two that meet in an environment; empty if nothing does.
+
+        Args:
+            environment: from 0 to B - 1.
+
+        Raises:
+            IndexError: there is no such environment.
+
+        Example:
+            >>> robot.certify(torch.zeros(1, 2, robot.joint_count)).names(0)
+            ()
+        """
+        links = self.links[environment].tolist()
+        if links[0] == len(self.link_names):
+            return ()
+        return tuple(self.link_names[k] if k >= 0 else f"obstacle {-1 - k}" for k in links)
+
+    def __len__(self) -> int:
+        return len(self.verdict)
+
+    def __repr__(self) -> str:
+        counts = [f"{v.name.lower()}={n}" for v in Verdict if (n := int((self.verdict == int(v)).sum()))]
+        return f"Certificate({', '.join([f'environments={len(self)}', *counts])})"

@@ -1,0 +1,375 @@
+"""Robots: a kinematic tree with collision surfaces, as bodies of a scene."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Iterable, Sequence
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from pgccd import arguments
+from pgccd.detection.pipeline import detect
+from pgccd.detection.trajectories import repeated
+from pgccd.geometry.mesh import Mesh
+from pgccd.geometry.scene import Scene
+from pgccd.motion.paths import RigidMotion
+from pgccd.motion.trajectory import Trajectory
+from pgccd.robots.kinematics import Poses, Tree
+from pgccd.robots.obstacles import Obstacles
+from pgccd.robots.shapes import ThickSurface, joined
+from pgccd.robots.stray import MOST_TURN, pose_error, stray_bound, turns
+
+if TYPE_CHECKING:
+    from pgccd.robots.certificate import Certificate
+
+# Configurations tested in one call.
+_SAMPLES_AT_ONCE = 2000
+
+
+class Robot:
+    """An arm, or any robot on a fixed base: links joined by revolute and prismatic joints, in a tree. Made by
+    `load_urdf` and `load_mjcf`.
+
+    A link is one body, whose mesh has its origin at the link's joint; one with spheres or capsules of several radii is
+    one body a radius, since the radius is the body's margin. Links without collision surfaces have no body.
+
+    Attributes:
+        name: of the robot, as in the file.
+        joint_names: (J) the names of the joints that a configuration has a value for, in its order. Joints that mimic
+            another have none.
+        lower, upper: (J,) float64 limits, radians or length units; infinite where there are none.
+        link_names: names of all links.
+        body_link: (N,) int64: the link of each body.
+        meshes: (N) `Mesh` of each body.
+        margin: (N,) float64, thickness of each body.
+        moves: (N,) bool: whether joints move the body.
+        exclude: (E, 2) int64: pairs of bodies that are never tested.
+        reach: length: no point of the robot is further from its base, in any configuration within the limits; of
+            prismatic joints without limits within 1 length unit of 0.
+
+    Example:
+        >>> robot = pgccd.robots.load_urdf("arm.urdf")
+        >>> result = robot.certify(torch.tensor([[[0.0, 0.0], [1.0, 0.5]]]), obstacles)  # (B, T, J)
+        >>> result.free
+        tensor([True])
+    """
+
+    def __init__(
+        self,
+        name: str,
+        tree: Tree,
+        links: Sequence[tuple[str, int, Sequence[ThickSurface]]],
+        joint_names: Sequence[str],
+        limits: Sequence[tuple[float, float]],
+        excluded_links: Iterable[tuple[int, int]],
+    ) -> None:
+        """
+        Args:
+            tree: the joints.
+            links: name, frame and surfaces, in the frame, of each.
+            joint_names, limits: of each entry of a configuration.
+            excluded_links: pairs of links that are never tested.
+        """
+        self.name, self.joint_names = name, list(joint_names)
+        self.lower, self.upper = torch.tensor(limits, dtype=torch.float64).reshape(-1, 2).unbind(1)
+        self.link_names = [link for link, _, _ in links]
+        self._tree = tree
+        meshes, owners, frames, margins = [], [], [], []
+        for number, (link, frame, surfaces) in enumerate(links):
+            for thickness in sorted({surface.thickness for surface in surfaces}):
+                surface = joined([each for each in surfaces if each.thickness == thickness])
+                try:
+                    mesh = Mesh(surface.vertices, surface.faces)
+                except ValueError as error:
+                    raise ValueError(f"link {link!r}: {error}") from error
+                mesh.name = link
+                meshes.append(mesh)
+                owners.append(number)
+                frames.append(frame)
+                margins.append(thickness)
+        if not meshes:
+            raise ValueError(f"robot {name!r} has no collision surfaces")
+        self.meshes = meshes
+        self.body_link = torch.tensor(owners)
+        self.margin = torch.tensor(margins, dtype=torch.float64)
+        self._frames = frames
+        self._extents = [mesh.reach for mesh in meshes]
+        chains = [tree.chains[frame] for frame in frames]
+        self.moves = torch.tensor([any(tree.joints[k].kind != "fixed" for k in chain) for chain in chains])
+        self.exclude = torch.zeros((0, 2), dtype=torch.int64)
+        self._exclude_links(excluded_links)
+        self.reach = max(
+            self._length(chain) + mesh.reach + thickness
+            for chain, mesh, thickness in zip(chains, meshes, margins, strict=True)
+        )
+
+    @property
+    def joint_count(self) -> int:
+        """J: the number of entries of a configuration."""
+        return len(self.joint_names)
+
+    @property
+    def body_count(self) -> int:
+        """N: the number of bodies."""
+        return len(self.meshes)
+
+    def _length(self, chain: Sequence[int]) -> float:
+        length = 0.0
+        for k in chain[1:]:
+            joint = self._tree.joints[k]
+            length += self._tree.distances[k]
+            if joint.kind == "prismatic":
+                ends = (float(self.lower[joint.coordinate]), float(self.upper[joint.coordinate]))
+                length += max(abs(joint.scale * (q if np.isfinite(q) else 1.0) + joint.offset) for q in ends)
+        return length
+
+    def _exclude_links(self, links: Iterable[tuple[int, int]]) -> None:
+        """Adds pairs of links, those of the bodies of each link, and of bodies that no joint moves."""
+        left_out = {tuple(sorted(pair)) for pair in links}
+        owner, moves = self.body_link.tolist(), self.moves.tolist()
+        pairs = [
+            [i, j]
+            for i, j in combinations(range(self.body_count), 2)
+            if owner[i] == owner[j] or tuple(sorted((owner[i], owner[j]))) in left_out or not (moves[i] or moves[j])
+        ]
+        both = torch.cat([self.exclude, torch.tensor(pairs, dtype=torch.int64).reshape(-1, 2)])
+        self.exclude = torch.unique(both, dim=0)
+
+    def excluding(self, links: Iterable[tuple[str, str]]) -> Robot:
+        """A robot of which these pairs of links are not tested either.
+
+        Args:
+            links: pairs of names.
+
+        Raises:
+            ValueError: a link is unknown.
+
+        Example:
+            >>> gripper = robot.excluding([("base", "tool")])
+        """
+        return self._excluding([(self._link(a), self._link(b)) for a, b in links])
+
+    def _excluding(self, links: Iterable[tuple[int, int]]) -> Robot:
+        other = copy.copy(self)
+        other._exclude_links(links)
+        return other
+
+    def _link(self, name: str) -> int:
+        if name not in self.link_names:
+            raise ValueError(f"links: expected names of links, such as {self.link_names[0]!r}, got {name!r}")
+        return self.link_names.index(name)
+
+    def excluding_sampled(self, samples: int = 1000, share: float = 0.95, seed: int = 0) -> Robot:
+        """A robot of which pairs of links are not tested that collide in nearly all random configurations, since their
+        surfaces overlap by design. Pairs that never collide in the samples stay tested.
+
+        Args:
+            samples: number of configurations, uniform within the limits; joints that turn without limits by up to pi.
+            share: pairs are left out if they collide in at least this part of them.
+            seed: of the random numbers.
+
+        Raises:
+            ValueError: naming the argument; or a prismatic joint has no limits.
+
+        Example:
+            >>> robot = robot.excluding_sampled()
+        """
+        samples = arguments.integer(samples, "samples", 1, "a number of configurations > 0")
+        share = arguments.number(share, "share", "a number in (0, 1]")
+        if not 0.0 < share <= 1.0:
+            raise ValueError(f"share: expected a number in (0, 1], got {share}")
+        generator = torch.Generator().manual_seed(arguments.integer(seed, "seed", 0, "an integer >= 0"))
+        low, high = self._sampling_limits()
+        q = low + (high - low) * torch.rand((samples, self.joint_count), generator=generator, dtype=torch.float64)
+        owner, count = self.body_link, len(self.link_names)
+        times = torch.zeros(count * count, dtype=torch.int64)
+        for some in q.split(_SAMPLES_AT_ONCE):
+            many = repeated(self.scene(), len(some))
+            x, r = self.poses(some)
+            at_rest = RigidMotion.at_rest(x.flatten(0, 1), r.flatten(0, 1))
+            pairs = detect(many, at_rest, "any").pairs
+            # Each pair of links once a configuration, although they may be several bodies.
+            sample = pairs[:, 0] // self.body_count
+            of_links = owner[pairs % self.body_count].sort(dim=1).values
+            once = torch.unique((sample * count + of_links[:, 0]) * count + of_links[:, 1])
+            times += torch.bincount(once % (count * count), minlength=count * count)
+        always = torch.nonzero(times >= share * samples).flatten().tolist()
+        return self._excluding([(key // count, key % count) for key in always])
+
+    def _sampling_limits(self) -> tuple[Tensor, Tensor]:
+        low, high = self.lower.clone(), self.upper.clone()
+        for joint in self._tree.joints:
+            k = joint.coordinate
+            if k < 0 or (np.isfinite(float(low[k])) and np.isfinite(float(high[k]))):
+                continue
+            if joint.kind == "prismatic":
+                raise ValueError(f"samples: joint {joint.name!r} has no limits: set `lower` and `upper` of the robot")
+            low[k], high[k] = -torch.pi, torch.pi
+        return low, high
+
+    def poses(self, q: Tensor) -> tuple[Tensor, Tensor]:
+        """Poses of the bodies: forward kinematics.
+
+        Args:
+            q: (..., J) configurations, radians or length units, float32 or float64.
+
+        Returns:
+            Positions (..., N, 3) and orientations (..., N, 4), unit quaternions (w, x, y, z), body to world.
+
+        Raises:
+            TypeError, ValueError: q has another type or shape.
+
+        Example:
+            >>> position, orientation = robot.poses(torch.zeros(robot.joint_count))
+        """
+        q = self._configurations(q, "q")
+        found = self._tree.forward(q.reshape(-1, self.joint_count))
+        shape = (*q.shape[:-1], self.body_count)
+        x, r = self._of_bodies(found)
+        return x.reshape(*shape, 3), r.reshape(*shape, 4)
+
+    def _of_bodies(self, poses: Poses) -> tuple[Tensor, Tensor]:
+        """(K, N, 3) and (K, N, 4)."""
+        x, r = (of[self._frames].transpose(0, 1) for of in (poses.position, poses.orientation))
+        return x, r
+
+    def _configurations(self, q: Tensor, name: str) -> Tensor:
+        arguments.real_tensor(q, name)
+        if q.dim() < 1 or q.shape[-1] != self.joint_count:
+            raise ValueError(f"{name}: expected shape (..., {self.joint_count}), got {tuple(q.shape)}")
+        return q.detach().to(torch.float64).contiguous()
+
+    def scene(self, obstacles: Obstacles | None = None) -> Scene:
+        """The robot's bodies, then those of the obstacles, which do not move. Bodies that do not move are not tested
+        against each other.
+
+        Args:
+            obstacles: the obstacles, if any.
+
+        Raises:
+            TypeError: they are something else.
+
+        Example:
+            >>> scene = robot.scene(obstacles)
+            >>> pgccd.show(scene, robot.trajectory(torch.zeros(2, robot.joint_count), obstacles))
+        """
+        if obstacles is not None and not isinstance(obstacles, Obstacles):
+            raise TypeError(f"obstacles: expected pgccd.robots.Obstacles, got {arguments.describe(obstacles)}")
+        meshes, margin, static = list(self.meshes), self.margin, ~self.moves
+        if obstacles is not None:
+            first = len(meshes)
+            meshes += obstacles.meshes
+            index = torch.cat([torch.arange(first), first + obstacles.mesh_index])
+            margin = torch.cat([margin, obstacles.margin])
+            static = torch.cat([static, torch.ones(obstacles.count, dtype=torch.bool)])
+        else:
+            index = torch.arange(len(meshes))
+        return Scene(meshes, index, static=static, margin=margin, exclude=self.exclude)
+
+    def trajectory(self, q: Tensor, obstacles: Obstacles | None = None) -> Trajectory:
+        """The path through configurations, for `pgccd.detect` with `scene`: with margins within which links stray from
+        arcs while joints move at constant rates. A contact of it may be due to these margins; `certify` makes them as
+        small as needed.
+
+        Args:
+            q: (T, J) configurations of the waypoints.
+            obstacles: as for `scene`; the same in all environments.
+
+        Raises:
+            TypeError, ValueError: q has another type or shape; or links turn by more than a radian between two
+                waypoints, the turns of all joints added.
+
+        Example:
+            >>> path = robot.trajectory(torch.linspace(0, 1, 20)[:, None].expand(20, robot.joint_count))
+        """
+        q = self._configurations(q, "q")
+        if q.dim() != 2 or len(q) < 2:
+            raise ValueError(f"q: expected shape (T, {self.joint_count}) with T >= 2, got {tuple(q.shape)}")
+        turn = turns(self._tree, self._frames, q[1:] - q[:-1])
+        if not bool((turn <= MOST_TURN).all()):
+            segment = int((~(turn <= MOST_TURN)).long().argmax())
+            raise ValueError(
+                f"q: segment {segment}: expected turns of at most {MOST_TURN:g} rad, all joints added, got "
+                f"{float(turn[segment]):.3g}: give more waypoints, or use `certify`"
+            )
+        poses = self._tree.forward(q)
+        before, after = (
+            Poses(*(column[:, rows] for column in vars(poses).values())) for rows in (slice(None, -1), slice(1, None))
+        )
+        margin = self._stray(before, after, torch.maximum(q[:-1].abs(), q[1:].abs()))
+        x, r = self._of_bodies(poses)
+        if obstacles is not None:
+            if obstacles.environments is not None:
+                expected = "obstacles with one pose each"
+                raise ValueError(f"obstacles: expected {expected}, got {obstacles.environments} environments")
+            x, r = obstacles._added_to(x, r, torch.zeros(len(q), dtype=torch.int64))
+            margin = torch.cat([margin, margin.new_zeros(len(margin), obstacles.count)], dim=1)
+        return Trajectory(x, r, margin=margin)
+
+    def _stray(self, start: Poses, end: Poses | None, q: Tensor) -> Tensor:
+        """(K, N): how far the bodies stray from the arcs that are tested, rounding included; without an end they are at
+        rest. q: (K, J) magnitudes.
+        """
+        error = pose_error(self._tree, self._frames, self._extents, q)
+        if end is None:
+            return error
+        return stray_bound(self._tree, self._frames, self._extents, start, end) + error
+
+    def certify(self, q: Tensor, obstacles: Obstacles | None = None, *, resolution: float | None = None) -> Certificate:
+        """Whether paths are free of contact, between waypoints too.
+
+        Args:
+            q: (B, T, J) configurations.
+            obstacles, resolution: as for `pgccd.robots.certify`.
+
+        Raises:
+            TypeError, ValueError: naming the argument.
+
+        Example:
+            >>> robot.certify(torch.zeros(1, 2, robot.joint_count)).free
+            tensor([True])
+        """
+        from pgccd.robots.path_search import certify
+
+        return certify(self, q, obstacles, resolution=resolution)
+
+    def motion_validator(
+        self, obstacles: Obstacles | None = None, *, resolution: float | None = None
+    ) -> Callable[[Tensor | Sequence[float], Tensor | Sequence[float]], bool]:
+        """A function of two configurations that says whether the straight motion in joint space between them is
+        certainly free of contact, as planners such as OMPL and MoveIt ask.
+
+        Args:
+            obstacles, resolution: as for `pgccd.robots.certify`.
+
+        Raises:
+            TypeError, ValueError: naming the argument; also when the function is called.
+
+        Example:
+            >>> is_valid = robot.motion_validator(obstacles)
+            >>> is_valid([0.0, 0.0], [0.3, 0.1])
+            True
+        """
+        from pgccd.robots.path_search import PathSearch
+
+        search = PathSearch(self, obstacles, resolution)
+
+        def is_valid(start: Tensor | Sequence[float], goal: Tensor | Sequence[float]) -> bool:
+            ends = []
+            for values, name in ((start, "start"), (goal, "goal")):
+                q = arguments.real_numbers(values, name, f"{self.joint_count} numbers")
+                if q.shape != (self.joint_count,):
+                    raise ValueError(f"{name}: expected shape ({self.joint_count},), got {tuple(q.shape)}")
+                ends.append(q)
+            return bool(search.certify(torch.stack(ends)[None]).free[0])
+
+        return is_valid
+
+    def __repr__(self) -> str:
+        return (
+            f"Robot({self.name!r}, joints={self.joint_count}, links={len(self.link_names)}, bodies={self.body_count})"
+        )

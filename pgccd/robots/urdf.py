@@ -1,0 +1,239 @@
+"""Robots from URDF files, read by yourdfpy, and pairs of links that SRDF files exclude."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from pgccd import arguments
+from pgccd.geometry.mesh import Mesh
+from pgccd.robots import shapes
+from pgccd.robots.kinematics import Joint, JointKind, Tree, quaternion_of
+from pgccd.robots.links import adjacent_links
+from pgccd.robots.robot import Robot
+from pgccd.robots.shapes import ThickSurface
+
+_KINDS: dict[str, JointKind] = {
+    "fixed": "fixed",
+    "revolute": "revolute",
+    "continuous": "revolute",
+    "prismatic": "prismatic",
+}
+
+
+def load_urdf(
+    path: str | PathLike[str],
+    srdf: str | PathLike[str] | None = None,
+    *,
+    packages: Mapping[str, str | PathLike[str]] | None = None,
+    base_position: Sequence[float] = (0.0, 0.0, 0.0),
+    base_orientation: Sequence[float] = (1.0, 0.0, 0.0, 0.0),
+) -> Robot:
+    """A robot from a URDF file: one body a link with collision geometry, its origin at the link's joint.
+
+    Meshes and boxes are taken as they are. Cylinders are prisms around the cylinder, at most 0.13 % thicker; spheres
+    are exact to 1e-9 of their radius. Not tested are pairs of links that are rigidly joined or joined by one joint,
+    over links without geometry too, and those that the SRDF file disables; see also `Robot.excluding_sampled`.
+
+    Args:
+        path: of the URDF file.
+        srdf: an SRDF file, of which the elements disable_collisions are read.
+        packages: folders by name, for files given as package://name/file. Default: the folder of that name, or the
+            file, is looked for in all folders above that of the URDF file.
+        base_position, base_orientation: pose of the root link in the world: (3,), and a unit quaternion (w, x, y, z).
+
+    Raises:
+        FileNotFoundError: a file does not exist.
+        ValueError: a file cannot be read, or the robot is no tree of fixed, revolute, continuous and prismatic joints;
+            naming link or joint.
+        ImportError: yourdfpy (extra `robots`) is not installed.
+
+    Example:
+        >>> robot = pgccd.robots.load_urdf("arm.urdf")
+        >>> robot.joint_names
+        ['shoulder', 'elbow']
+    """
+    path = arguments.path(path, "path")
+    if not path.is_file():
+        raise FileNotFoundError(f"path: {path}: no such file")
+    description = _parsed(path)
+    root, order = _ordered(description, path)
+    joints = [
+        Joint("", "fixed", -1, _three(base_position, "base_position"), _unit(base_orientation), np.array([1.0, 0, 0]))
+    ]
+    names: list[str] = []
+    limits: list[tuple[float, float]] = []
+    coordinates: dict[str, int] = {}
+    for joint in order:
+        if joint.type in _KINDS and joint.type != "fixed" and joint.mimic is None:
+            coordinates[joint.name] = len(names)
+            names.append(joint.name)
+            limits.append(_limits(joint))
+    frame = {root: 0}
+    for joint in order:
+        joints.append(_joint(joint, frame[joint.parent], coordinates, {each.name: each for each in order}, path))
+        frame[joint.child] = len(joints) - 1
+    links = []
+    for link in description.links:
+        surfaces = [_surface(link.name, each, path, packages or {}) for each in link.collisions]
+        links.append((link.name, frame[link.name], surfaces))
+    tree = Tree(joints)
+    number = {link.name: index for index, link in enumerate(description.links)}
+    excluded = adjacent_links(tree, [(at, bool(surfaces)) for _, at, surfaces in links])
+    if srdf is not None:
+        excluded += _disabled(arguments.path(srdf, "srdf"), number)
+    return Robot(description.name or path.stem, tree, links, names, limits, excluded)
+
+
+def _parsed(path: Path) -> Any:
+    try:
+        import yourdfpy
+    except ImportError as error:
+        raise ImportError(f"yourdfpy reads URDF files: pip install 'pgccd[robots]' ({error})") from error
+    try:
+        ElementTree.parse(path)  # yourdfpy repairs broken files silently
+        return yourdfpy.URDF.load(str(path), build_scene_graph=False, load_meshes=False).robot
+    except Exception as error:
+        problem = f"an element has no attribute {error}" if isinstance(error, KeyError) else error
+        raise ValueError(f"path: {path} cannot be read as URDF: {problem}") from error
+
+
+def _ordered(description: Any, path: Path) -> tuple[str, list[Any]]:
+    """The root link, and the joints with parents first.
+
+    Raises:
+        ValueError: links and joints are no tree.
+    """
+    links = {link.name for link in description.links}
+    by_child: dict[str, Any] = {}
+    for joint in description.joints:
+        for end in (joint.parent, joint.child):
+            if end not in links:
+                raise ValueError(f"path: {path}: joint {joint.name!r}: there is no link {end!r}")
+        if joint.child in by_child:
+            raise ValueError(f"path: {path}: link {joint.child!r} is the child of two joints")
+        by_child[joint.child] = joint
+    roots = sorted(links - set(by_child))
+    if len(roots) != 1:
+        raise ValueError(f"path: {path}: expected one link without a parent, got {roots}")
+    order, reached = [], {roots[0]}
+    waiting = list(description.joints)
+    while waiting:
+        ready = [joint for joint in waiting if joint.parent in reached]
+        if not ready:
+            raise ValueError(f"path: {path}: joint {waiting[0].name!r} is part of a loop")
+        # In the order of the file as far as parents allow.
+        order.append(ready[0])
+        reached.add(ready[0].child)
+        waiting.remove(ready[0])
+    return roots[0], order
+
+
+def _joint(joint: Any, parent: int, coordinates: Mapping[str, int], by_name: Mapping[str, Any], path: Path) -> Joint:
+    where = f"path: {path}: joint {joint.name!r}"
+    if joint.type not in _KINDS:
+        raise ValueError(f"{where}: expected a fixed, revolute, continuous or prismatic joint, got {joint.type!r}")
+    origin = np.eye(4) if joint.origin is None else np.asarray(joint.origin, dtype=np.float64)
+    axis = np.array([1.0, 0.0, 0.0]) if joint.axis is None else np.asarray(joint.axis, dtype=np.float64)
+    length = float(np.linalg.norm(axis))
+    kind = _KINDS[joint.type]
+    if not (np.isfinite(origin).all() and np.isfinite(axis).all() and (length > 0.0 or kind == "fixed")):
+        raise ValueError(f"{where}: expected a finite origin and an axis other than zero, got {axis.tolist()}")
+    coordinate, scale, offset = -1, 1.0, 0.0
+    if kind != "fixed":
+        of, seen = joint, set()
+        while of.mimic is not None:  # the one it follows may follow another
+            factor = 1.0 if of.mimic.multiplier is None else of.mimic.multiplier
+            offset += scale * (of.mimic.offset or 0.0)
+            scale *= factor
+            seen.add(of.name)
+            if of.mimic.joint not in by_name or of.mimic.joint in seen or by_name[of.mimic.joint].type == "fixed":
+                raise ValueError(f"{where}: there is no joint {of.mimic.joint!r} to mimic")
+            of = by_name[of.mimic.joint]
+        coordinate = coordinates[of.name]
+    axis = axis / length if length > 0.0 else np.array([1.0, 0.0, 0.0])
+    return Joint(
+        joint.name, kind, parent, origin[:3, 3], quaternion_of(origin[:3, :3]), axis, coordinate, scale, offset
+    )
+
+
+def _limits(joint: Any) -> tuple[float, float]:
+    if joint.type == "continuous" or joint.limit is None:
+        return -np.inf, np.inf
+    lower, upper = joint.limit.lower, joint.limit.upper
+    return (0.0 if lower is None else lower, 0.0 if upper is None else upper)
+
+
+def _surface(link: str, collision: Any, path: Path, packages: Mapping[str, str | PathLike[str]]) -> ThickSurface:
+    geometry = collision.geometry
+    try:
+        if geometry.box is not None:
+            surface = shapes.box(np.asarray(geometry.box.size, dtype=np.float64))
+        elif geometry.cylinder is not None:
+            surface = shapes.cylinder(geometry.cylinder.radius, geometry.cylinder.length / 2.0)
+        elif geometry.sphere is not None:
+            surface = shapes.sphere(arguments.length(geometry.sphere.radius, "radius"))
+        else:
+            file = _file(geometry.mesh.filename, path, packages)
+            mesh = Mesh.load(file)
+            scale = np.ones(3) if geometry.mesh.scale is None else np.asarray(geometry.mesh.scale) * np.ones(3)
+            surface = ThickSurface(mesh.vertices.numpy() * scale, mesh.faces.long().numpy())
+    except (OSError, ValueError) as error:
+        raise type(error)(f"path: {path}: link {link!r}: {error}") from error
+    if collision.origin is None:
+        return surface
+    origin = np.asarray(collision.origin, dtype=np.float64)
+    return surface.placed(origin[:3, 3], quaternion_of(origin[:3, :3]))
+
+
+def _file(name: str, path: Path, packages: Mapping[str, str | PathLike[str]]) -> Path:
+    """The mesh file of that name in a URDF file."""
+    if name.startswith("file://"):
+        return Path(name.removeprefix("file://"))
+    if not name.startswith("package://"):
+        return path.parent / name
+    package, _, rest = name.removeprefix("package://").partition("/")
+    if package in packages:
+        return Path(packages[package]) / rest
+    for folder in path.resolve().parents:
+        for candidate in (folder / package / rest, folder / rest):
+            if candidate.is_file():
+                return candidate
+    raise ValueError(f"{name} is in no folder above {path.parent}: pass packages={{{package!r}: folder}}")
+
+
+def _disabled(path: Path, number: Mapping[str, int]) -> list[tuple[int, int]]:
+    """The pairs of links that an SRDF file disables."""
+    if not path.is_file():
+        raise FileNotFoundError(f"srdf: {path}: no such file")
+    try:
+        root = ElementTree.parse(path).getroot()
+    except ElementTree.ParseError as error:
+        raise ValueError(f"srdf: {path} cannot be read as XML: {error}") from error
+    pairs = []
+    for element in root.iter("disable_collisions"):
+        links = [element.get(name) or "" for name in ("link1", "link2")]
+        for link in links:
+            if link not in number:
+                raise ValueError(f"srdf: {path}: disable_collisions: the robot has no link {link!r}")
+        pairs.append((number[links[0]], number[links[1]]))
+    return pairs
+
+
+def _three(values: Sequence[float], name: str) -> np.ndarray:
+    found = np.asarray(values, dtype=np.float64)
+    if found.shape != (3,) or not np.isfinite(found).all():
+        raise ValueError(f"{name}: expected three finite numbers, got {values}")
+    return found
+
+
+def _unit(values: Sequence[float]) -> np.ndarray:
+    found = np.asarray(values, dtype=np.float64)
+    if found.shape != (4,) or not abs(np.linalg.norm(found) - 1.0) < 1e-3:
+        raise ValueError(f"base_orientation: expected a unit quaternion (w, x, y, z), got {values}")
+    return found / np.linalg.norm(found)

@@ -1,0 +1,58 @@
+"""Mutants of the bound of how far links of arms stray from arcs."""
+
+from __future__ import annotations
+
+from mutants_of.mutant import Mutant
+
+STRAY = "pgccd/robots/stray.py"
+ON_STRAY = ("robots/test_stray.py",)
+NOT_ATTAINED = "a term of higher order in the turn, of which no chain is known that attains it"
+
+MUTANTS = [
+    Mutant(
+        "arm-origin-0.999",
+        STRAY,
+        "_scalar(8.0, steps[0])",
+        "_scalar(8.008, steps[0])",
+        (*ON_STRAY, "robots/test_certify.py"),
+        switched=False,
+    ),
+    Mutant("arm-rotation-0.999", STRAY, "* 0.125", "* 0.124875", ON_STRAY, switched=False),
+    Mutant(
+        "arm-joints-apart",
+        STRAY,
+        "(steps[k] + 2.0 * before)",
+        "(steps[k] + 0.0 * before)",
+        ON_STRAY,
+        switched=False,
+    ),
+    Mutant(
+        "arm-slide-0.999", STRAY, "2.0 * (steps[k] * before)", "1.998 * (steps[k] * before)", ON_STRAY, switched=False
+    ),
+    Mutant(
+        "arm-speed-zero",
+        STRAY,
+        "0.5 * (ends[place] + speed)",
+        "0.5 * ends[place]",
+        ON_STRAY,
+        equivalent=NOT_ATTAINED,
+        switched=False,
+    ),
+    Mutant(
+        "arm-crossing-of-neighbours",
+        "pgccd/robots/kinematics.py",
+        "min(1.0, np.sin(angle) + 1e-12)",
+        "0.999 * min(1.0, np.sin(angle))",
+        ON_STRAY,
+        switched=False,
+    ),
+    Mutant("arm-rate", STRAY, "2.0 * _RATE * s", "0.0 * s", ON_STRAY, equivalent=NOT_ATTAINED, switched=False),
+    Mutant(
+        "arm-pose-error",
+        STRAY,
+        "_POSE_ERROR = 2.0**-46",
+        "_POSE_ERROR = 0.0",
+        ON_STRAY,
+        switched=False,
+    ),
+]

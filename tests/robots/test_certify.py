@@ -1,0 +1,273 @@
+"""Paths between waypoints, compared with dense samples; and environments that say nothing about others."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from oracle.arms import Arm, Part, least_gaps
+from support.arms import UPRIGHT, beams, loaded, random_arm
+
+import pgccd
+from pgccd.robots import Certificate, Obstacles, Robot, Verdict, path_search
+
+SAMPLES, PATHS = 2001, 6
+
+
+def boxes(rng: np.random.Generator, count: int, near: float, far: float) -> tuple[Obstacles, np.ndarray, np.ndarray]:
+    """Obstacles of one environment, their frames and half edges."""
+    half = rng.uniform(0.03, 0.15, (count, 3))
+    away = rng.normal(size=(count, 3))
+    position = away / np.linalg.norm(away, axis=1, keepdims=True) * rng.uniform(near, far, (count, 1))
+    q = rng.normal(size=(count, 4))
+    q /= np.linalg.norm(q, axis=1, keepdims=True)
+    w, x, y, z = q.T
+    frames = np.tile(np.eye(4), (count, 1, 1))
+    frames[:, :3, :3] = np.moveaxis(
+        np.array(
+            [
+                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+            ]
+        ),
+        2,
+        0,
+    )
+    frames[:, :3, 3] = position
+    obstacles = Obstacles([pgccd.Mesh.box(2 * h) for h in half], torch.tensor(position), torch.tensor(q))
+    return obstacles, frames, half
+
+
+def part_of(robot: Robot, body: int) -> int:
+    return int(robot.link_names[int(robot.body_link[body])].removeprefix("link"))
+
+
+def untested(robot: Robot) -> set[tuple[int, int]]:
+    pairs = {tuple(sorted((part_of(robot, i), part_of(robot, j)))) for i, j in robot.exclude.tolist()}
+    return pairs  # type: ignore[return-value]
+
+
+def compare(arm: Arm, robot: Robot, q: np.ndarray, found: Certificate, frames: np.ndarray, half: np.ndarray) -> None:
+    """Compares verdicts and times with samples of every segment: nothing missed, none late, none early."""
+    resolution = 1e-3 * robot.reach
+    segments, names = q.shape[1] - 1, untested(robot)
+    static = [part_of(robot, k) for k in torch.nonzero(~robot.moves).flatten().tolist()]
+    assert not static
+    s = np.linspace(0.0, 1.0, SAMPLES)[:, None]
+    for b in range(len(q)):
+        way = [q[b, k] + s * (q[b, k + 1] - q[b, k]) for k in range(segments)]
+        gap = np.stack([least_gaps(arm, each, frames, half, names) for each in way])  # (segments, SAMPLES)
+        verdict, time = Verdict(int(found.verdict[b])), float(found.time[b])
+        touching = np.argwhere(gap <= 0.0)
+        if len(touching):
+            k, n = touching[0]
+            assert verdict != Verdict.FREE, b
+            assert time <= (k + n / (SAMPLES - 1)) / segments, b
+        if verdict == Verdict.START:
+            assert gap[0, 0] <= 1e-9
+        elif gap[0, 0] <= -1e-9:
+            raise AssertionError(f"{b}: starts in contact")
+        if verdict in (Verdict.COLLISION, Verdict.NEAR):
+            # A pair comes as near as the resolution there.
+            k, toi = int(found.segment[b]), float(found.toi[b])
+            around = q[b, k] + np.clip([[toi - 1e-4], [toi], [toi + 1e-4]], 0, 1) * (q[b, k + 1] - q[b, k])
+            near = least_gaps(arm, around, frames, half, names)
+            assert near.min() <= resolution * 1.1 and near[0] >= -1e-3 * robot.reach, b
+        if verdict == Verdict.COLLISION:
+            assert gap.min() <= 1e-4 * robot.reach, b
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_nothing_is_missed_and_nothing_late(seed: int, tmp_path: Path) -> None:
+    rng = np.random.default_rng(seed)
+    arm = beams(5) if seed % 2 else random_arm(rng, 6)
+    robot = loaded(arm, tmp_path)
+    obstacles, frames, half = boxes(rng, 5, 0.4 * robot.reach, 0.9 * robot.reach)
+    start = rng.uniform(-1.2, 1.2, (PATHS, 1, robot.joint_count))
+    q = start + np.concatenate(
+        [np.zeros_like(start), rng.normal(size=(PATHS, 2, robot.joint_count)).cumsum(axis=1)], axis=1
+    )
+    found = pgccd.robots.certify(robot, torch.tensor(q), obstacles)
+    compare(arm, robot, q, found, frames, half)
+    counts = [int((found.verdict == int(verdict)).sum()) for verdict in Verdict]
+    assert counts[Verdict.INVALID] == 0 and counts[Verdict.NEAR] <= 3
+    assert len(found) == PATHS and found.steps > 2 * PATHS and found.searches > 2
+
+
+def apex(tmp_path: Path, gap: float) -> tuple[Robot, torch.Tensor, Obstacles]:
+    """A ball at the end of a rod of length 1 that swings by 0.01, and an obstacle that the ball comes as near as `gap`
+    half-way; on the straight chord it would pass by 1.25e-5.
+    """
+    rod = Part("revolute", UPRIGHT, UPRIGHT, (0, 0, 1))
+    end = Part("prismatic", (1.0, 0.0, 0.0), UPRIGHT, (1, 0, 0), radius=0.1)
+    robot = loaded(Arm([rod, end]), tmp_path)
+    q = torch.tensor([[[-0.005, 0.0], [0.005, 0.0]]], dtype=torch.float64)
+    wall = pgccd.Mesh.box([0.2, 1.0, 1.0])
+    return robot, q, Obstacles([wall], torch.tensor([[1.2 + gap, 0.0, 0.0]], dtype=torch.float64))
+
+
+@pytest.mark.parametrize(("factor", "free"), [(1.0, False), (0.999, True), (0.0, True)])
+def test_the_bound_is_needed(factor: float, free: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A ball that touches only where its path bulges out of the chord is found; with a bound of 0.999 of its size, or
+    none, it would be missed.
+    """
+    robot, q, obstacles = apex(tmp_path, -1e-9)
+    bound = pgccd.robots.robot.stray_bound
+    monkeypatch.setattr("pgccd.robots.robot.stray_bound", lambda *args: factor * bound(*args))
+    found = robot.certify(q, obstacles, resolution=1e-7)
+    assert bool(found.free[0]) == free
+    if factor == 1.0:
+        assert found.verdict.tolist() == [int(Verdict.COLLISION)] and abs(float(found.toi[0]) - 0.5) < 0.02
+        assert found.names(0) == ("link1", "obstacle 0")
+
+
+def test_paths_that_come_near(tmp_path: Path) -> None:
+    """Free where the gap exceeds the resolution, in words otherwise."""
+    robot, q, obstacles = apex(tmp_path, 2e-6)
+    assert robot.certify(q, obstacles, resolution=1e-6).free.tolist() == [True]
+    found = robot.certify(q, obstacles, resolution=5e-6)
+    assert found.verdict.tolist() in ([int(Verdict.NEAR)], [int(Verdict.FREE)])
+    found = robot.certify(q, obstacles, resolution=1e-2)
+    assert found.verdict.tolist() == [int(Verdict.NEAR)] and 0.0 <= float(found.time[0]) < 1.0
+    robot, q, obstacles = apex(tmp_path, -1e-3)
+    assert robot.certify(q, obstacles).verdict.tolist() == [int(Verdict.START)]
+    assert robot.certify(q, obstacles).names(0) == ("link1", "obstacle 0")
+
+
+def same(one: Certificate, other: Certificate, row: int) -> None:
+    """Whether the only row of `one` is a row of `other`, bit by bit."""
+    for name in ("verdict", "time", "segment", "toi", "links", "point"):
+        a, b = getattr(one, name)[0].cpu(), getattr(other, name)[row].cpu()
+        assert torch.equal(a, b) or (bool(a.isnan().all()) and bool(b.isnan().all())), (name, row)
+
+
+def test_environments_say_nothing_about_others(tmp_path: Path, device: torch.device) -> None:
+    rng = np.random.default_rng(3)
+    robot = loaded(beams(4), tmp_path)
+    count = 25
+    q = torch.tensor(rng.uniform(-0.6, 0.6, (count, 1, 4)) + 0.35 * rng.normal(size=(count, 4, 4)).cumsum(axis=1))
+    position = torch.tensor(rng.normal(size=(count, 3, 3)))
+    position *= 1.1 / position.norm(dim=2, keepdim=True)
+    orientation = torch.tensor([1.0, 0, 0, 0], dtype=torch.float64).expand(count, 3, 4).clone()
+    meshes = [pgccd.Mesh.box([0.3, 0.2, 0.4]), pgccd.Mesh.sphere(0.2, 1), pgccd.Mesh.box([0.1, 0.6, 0.1])]
+    whole = robot.certify(q.to(device), Obstacles(meshes, position, orientation))
+    for b in range(count):
+        obstacles = Obstacles(meshes, position[b], orientation[b])
+        same(robot.certify(q[b : b + 1], obstacles), whole, b)
+    assert {Verdict.FREE, Verdict.COLLISION} <= {Verdict(v) for v in whole.verdict.tolist()}
+    # Invalid and intersecting ones among them change nothing.
+    position[3], q[5, 2, 1], q[7, 1, 0], orientation[9, 1] = torch.nan, torch.nan, torch.inf, 0.0
+    position[11, 0] = 0.0
+    again = robot.certify(q.to(device), Obstacles(meshes, position, orientation))
+    for b in (3, 5, 7, 9):
+        assert int(again.verdict[b]) == Verdict.INVALID and not bool(again.free[b])
+        assert float(again.time[b]) == 0.0 and int(again.segment[b]) == -1 and again.names(b) == ()
+    assert int(again.verdict[11]) == Verdict.START and again.names(11)[1] == "obstacle 0"
+    for b in set(range(count)) - {3, 5, 7, 9, 11}:
+        same(again_row(again, b), whole, b)
+
+
+def again_row(found: Certificate, b: int) -> Certificate:
+    columns = {
+        name: getattr(found, name)[b : b + 1] for name in ("verdict", "time", "segment", "toi", "links", "point")
+    }
+    return Certificate(**columns, link_names=found.link_names)
+
+
+def test_parts_of_a_call_change_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(5)
+    robot = loaded(beams(4), tmp_path)
+    obstacles, _, _ = boxes(rng, 3, 0.5, 1.2)
+    q = torch.tensor(rng.uniform(-1, 1, (8, 5, 4)))
+    whole = robot.certify(q, obstacles)
+    monkeypatch.setattr(path_search, "_BODIES_AT_ONCE", 50)
+    parts = robot.certify(q, obstacles)
+    for b in range(8):
+        same(again_row(parts, b), whole, b)
+
+
+def test_a_validator_of_motions(tmp_path: Path) -> None:
+    rng = np.random.default_rng(6)
+    robot = loaded(beams(4), tmp_path)
+    obstacles, _, _ = boxes(rng, 3, 0.5, 1.2)
+    is_valid = robot.motion_validator(obstacles)
+    ends = rng.uniform(-1, 1, (20, 2, 4))
+    free = robot.certify(torch.tensor(ends), obstacles).free.tolist()
+    assert [is_valid(a.tolist(), torch.tensor(b)) for a, b in ends] == free
+    assert 0 < sum(free) < 20
+    assert is_valid([float("nan")] * 4, [0.0] * 4) is False
+    with pytest.raises(ValueError, match=r"^goal: expected shape \(4,\)"):
+        is_valid([0.0] * 4, [0.0] * 3)
+
+
+def test_links_meet_each_other(tmp_path: Path) -> None:
+    """A chain that folds back onto itself, and large steps, which are split before they are tested."""
+    flat = Arm([replace(part, axis=(0.0, 0.0, 1.0)) for part in beams(4).parts])
+    robot = loaded(flat, tmp_path)
+    q = torch.zeros(1, 2, 4, dtype=torch.float64)
+    q[0, 1, 1:] = 1.65
+    found = robot.certify(q)
+    assert found.verdict.tolist() == [int(Verdict.COLLISION)]
+    assert found.names(0) == ("link0", "link3") and found.steps > 5
+    assert bool(robot.excluding([found.names(0)]).certify(q).free[0])
+
+
+def test_scene_and_trajectory_are_those_of_the_certificate(tmp_path: Path) -> None:
+    """What `detect` finds with the margins is never later than a contact, and free where it finds nothing."""
+    rng = np.random.default_rng(8)
+    arm = beams(4)
+    robot = loaded(arm, tmp_path)
+    obstacles, frames, half = boxes(rng, 4, 0.4, 1.3)
+    for _ in range(6):
+        q = rng.uniform(-1, 1, 4) + np.linspace(0, 1, 12)[:, None] * rng.uniform(-1, 1, 4)
+        hits = pgccd.detect(robot.scene(obstacles), robot.trajectory(torch.tensor(q), obstacles))
+        found = robot.certify(torch.tensor(q)[None], obstacles)
+        if len(hits) == 0:
+            assert bool(found.free[0])
+        else:
+            assert float(hits.first_toi()) <= float(found.time[0]) + 1e-3
+
+
+def test_what_cannot_be_certified(tmp_path: Path) -> None:
+    robot = loaded(beams(2), tmp_path)
+    q = torch.zeros(1, 2, 2)
+    table = Obstacles([pgccd.Mesh.box([1.0, 1.0, 1.0])], torch.full((3, 1, 3), 5.0))
+    cases = [
+        ((robot, q[0]), {}, ValueError, r"q: expected shape \(B, T, 2\) with T >= 2"),
+        ((robot, q[:, :1]), {}, ValueError, r"q: expected shape \(B, T, 2\) with T >= 2"),
+        ((robot, q, table), {}, ValueError, "q: expected 3 environments, as the obstacles have, got 1"),
+        ((robot, q), {"resolution": 0.0}, ValueError, "resolution: expected a length > 0"),
+        ((robot, q, q), {}, TypeError, "obstacles: expected pgccd.robots.Obstacles"),
+        ((q, q), {}, TypeError, "robot: expected a pgccd.robots.Robot"),
+    ]
+    for arguments, more, error, message in cases:
+        with pytest.raises(error, match="^" + message):
+            pgccd.robots.certify(*arguments, **more)  # type: ignore[arg-type]
+    mesh = pgccd.Mesh.box([1.0, 1.0, 1.0])
+    for given, message in [
+        (([mesh], torch.zeros(2, 3)), r"position: expected shape \(1, 3\) or \(B, 1, 3\)"),
+        (([mesh], torch.full((1, 3), torch.nan)), "position, orientation: expected finite"),
+        (([mesh], torch.zeros(2, 1, 3), torch.ones(3, 1, 4)), "orientation: expected as many environments"),
+    ]:
+        with pytest.raises(ValueError, match="^" + message):
+            Obstacles(*given)  # type: ignore[arg-type]
+    assert len(robot.certify(torch.zeros(0, 3, 2))) == 0
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_a_thousand_paths_of_64_waypoints(tmp_path: Path, device: torch.device) -> None:
+    rng = np.random.default_rng(9)
+    robot = loaded(beams(6), tmp_path)
+    obstacles, _, _ = boxes(rng, 4, 0.8, 2.0)
+    ends = rng.uniform(-1.2, 1.2, (2, 1000, 1, 6))
+    q = torch.tensor(ends[0] + np.linspace(0.0, 1.0, 64)[:, None] * (ends[1] - ends[0]), device=device)
+    found = robot.certify(q, obstacles)
+    counts = [int((found.verdict == int(verdict)).sum()) for verdict in Verdict]
+    assert counts[Verdict.FREE] > 300 and counts[Verdict.COLLISION] > 10 and counts[Verdict.INVALID] == 0
+    for b in range(0, 1000, 50):
+        same(robot.certify(q[b : b + 1], obstacles), found, b)

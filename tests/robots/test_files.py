@@ -1,0 +1,229 @@
+"""URDF, SRDF and MJCF files: shapes, exclusions, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from oracle.arms import Arm, Part
+from support.arms import UPRIGHT, beams, loaded
+
+import pgccd
+from pgccd.robots import Obstacles, Robot, shapes
+
+UPRIGHT_TURN = torch.tensor([[1.0, 0, 0, 0]], dtype=torch.float64)
+
+
+def mjcf(tmp_path: Path, body: str, more: str = "", assets: str = "") -> Robot:
+    pytest.importorskip("mujoco")
+    path = tmp_path / "robot.xml"
+    text = f'<mujoco><compiler angle="radian"/><asset>{assets}</asset><worldbody>{body}</worldbody>{more}</mujoco>'
+    path.write_text(text)
+    return pgccd.robots.load_mjcf(path)
+
+
+SLIDER = '<body name="s" pos="0 0 5"><joint name="fall" type="slide" axis="0 0 -1"/>{}</body>'
+
+
+def fall(robot: Robot, obstacle: pgccd.Mesh, margin: float, at: tuple[float, ...] = (0.0, 0.0, 0.0)) -> float:
+    """The part of a fall by 5 until a robot of one link meets an obstacle."""
+    obstacles = Obstacles([obstacle], torch.tensor([at], dtype=torch.float64), margin=margin)
+    scene, path = robot.scene(obstacles), robot.trajectory(torch.tensor([[0.0], [5.0]]), obstacles)
+    return float(pgccd.detect(scene, path, tolerance=1e-12).toi[0])
+
+
+POINT = shapes.sphere(1.0)
+DOT = pgccd.Mesh(1e-3 * POINT.vertices, POINT.faces)
+
+
+def test_spheres_and_capsules_are_exact(tmp_path: Path) -> None:
+    for across in (0.0, 0.1, 0.25):
+        ball = mjcf(tmp_path, SLIDER.format('<geom type="sphere" size="0.2"/>'))
+        assert ball.margin.tolist() == [0.2] and len(ball.meshes[0].faces) == 1
+        expected = (5.0 - (0.3**2 - across**2) ** 0.5) / 5.0
+        assert abs(fall(ball, DOT, 0.1, (across, 0, 0)) - expected) < 1e-9
+        # Along x, its end at 0.5.
+        capsule = mjcf(tmp_path, SLIDER.format('<geom type="capsule" size="0.2" fromto="-0.5 0 0 0.5 0 0"/>'))
+        assert abs(fall(capsule, DOT, 0.1, (0.5 + across, 0, 0)) - expected) < 1e-9
+        assert abs(fall(capsule, DOT, 0.1, (0.3, across, 0)) - expected) < 1e-9
+
+
+def test_other_shapes_contain_what_they_stand_for(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    directions = rng.normal(size=(500, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    for kind, size, support in [
+        ("cylinder", "0.2 0.3", lambda d: 0.2 * np.hypot(d[:, 0], d[:, 1]) + 0.3 * np.abs(d[:, 2])),
+        ("ellipsoid", "0.1 0.2 0.3", lambda d: np.linalg.norm(d * [0.1, 0.2, 0.3], axis=1)),
+        ("box", "0.1 0.2 0.3", lambda d: np.abs(d) @ [0.1, 0.2, 0.3]),
+    ]:
+        robot = mjcf(tmp_path, SLIDER.format(f'<geom type="{kind}" size="{size}"/>'))
+        reach = (directions @ robot.meshes[0].vertices.numpy().T).max(axis=1)
+        assert (reach >= support(directions) * (1 - 1e-12)).all(), kind
+        assert (reach <= support(directions) * 1.009).all(), kind
+
+
+def test_planes_height_fields_and_meshes(tmp_path: Path) -> None:
+    ball = '<geom type="sphere" size="0.2"/>'
+    floor = mjcf(tmp_path, '<geom type="plane" size="0 0 1" pos="0 0 0.5"/>' + SLIDER.format(ball))
+    assert floor.link_names == ["world", "s"] and floor.moves.tolist() == [False, True]
+    found = floor.certify(torch.tensor([[[0.0], [5.0]], [[0.0], [4.0]]]))
+    assert found.free.tolist() == [False, True] and found.names(0) == ("world", "s")
+    assert abs(float(found.time[0]) - 4.3 / 5.0) < 1e-3 * floor.reach
+    assets = '<hfield name="h" nrow="2" ncol="3" size="1 2 0.5 0.1" elevation="0 0 0 1 1 1"/>'
+    field = mjcf(tmp_path, '<geom type="hfield" hfield="h"/>' + SLIDER.format(ball), assets=assets)
+    corners = field.meshes[0].vertices + field.meshes[0].origin
+    assert corners.min(dim=0).values.tolist() == [-1.0, -2.0, 0.0]
+    assert corners.max(dim=0).values.tolist() == [1.0, 2.0, 0.5]
+    tetra = "0 0 0  1 0 0  0 1 0  0 0 1"
+    mesh = mjcf(tmp_path, SLIDER.format('<geom type="mesh" mesh="m"/>'), assets=f'<mesh name="m" vertex="{tetra}"/>')
+    position, orientation = mesh.poses(torch.zeros(1, dtype=torch.float64))
+    assert len(mesh.meshes[0].faces) == 4 and position.tolist() == [[0.0, 0.0, 5.0]]
+    corners = mesh.meshes[0].vertices.numpy()
+    expected = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    assert np.allclose(corners[np.lexsort(corners.round(4).T)], expected[np.lexsort(expected.T)], atol=1e-6)
+
+
+def test_bodies_of_links(tmp_path: Path) -> None:
+    """One body a link and thickness; geoms that do not collide are left out."""
+    geoms = '<geom type="sphere" size="0.2"/><geom type="capsule" size="0.2 0.3"/><geom type="sphere" size="0.1"/>'
+    geoms += '<geom type="box" size="1 1 1"/><geom type="box" size="9 9 9" contype="0" conaffinity="0"/>'
+    robot = mjcf(tmp_path, SLIDER.format(geoms))
+    assert robot.body_link.tolist() == [1, 1, 1] and robot.margin.tolist() == [0.0, 0.1, 0.2]
+    assert [len(mesh.faces) for mesh in robot.meshes] == [12, 1, 2]
+    assert robot.exclude.tolist() == [[0, 1], [0, 2], [1, 2]]
+
+
+def test_joined_links_are_not_tested(tmp_path: Path) -> None:
+    """Neighbours, over links without shapes too, and rigidly joined ones."""
+    box = {"half": (0.1, 0.1, 0.1)}
+    turn = {"kind": "revolute", "xyz": (0.1, 0, 0), "rpy": UPRIGHT, "axis": (0, 0, 1)}
+    fixed = turn | {"kind": "fixed"}
+    parts = [Part(**turn, **box), Part(**turn), Part(**turn, **box), Part(**fixed, **box), Part(**turn, **box)]  # type: ignore[arg-type]
+    robot = loaded(Arm(parts), tmp_path)
+    names = [robot.link_names[k] for k in robot.body_link.tolist()]
+    assert names == ["link0", "link2", "link3", "link4"]
+    assert robot.exclude.tolist() == [[0, 1], [0, 2], [1, 2], [1, 3], [2, 3]]
+    other = robot.excluding([("link4", "link0")])
+    assert other.exclude.tolist() == [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]] and len(robot.exclude) == 5
+    with pytest.raises(ValueError, match="^links: expected names of links, such as 'base', got 'hand'"):
+        robot.excluding([("hand", "link0")])
+
+
+def test_files_exclude_pairs(tmp_path: Path) -> None:
+    arm = beams(4)
+    robot = loaded(arm, tmp_path)
+    assert robot.exclude.tolist() == [[0, 1], [1, 2], [2, 3]]
+    srdf = tmp_path / "arm.srdf"
+    srdf.write_text('<robot name="arm"><disable_collisions link1="link3" link2="link0" reason="Never"/></robot>')
+    assert [0, 3] in pgccd.robots.load_urdf(tmp_path / "arm.urdf", srdf).exclude.tolist()
+    srdf.write_text('<robot name="arm"><disable_collisions link1="hand" link2="link0"/></robot>')
+    with pytest.raises(ValueError, match="^srdf: .*: disable_collisions: the robot has no link 'hand'"):
+        pgccd.robots.load_urdf(tmp_path / "arm.urdf", srdf)
+    geom = '<joint type="hinge" axis="0 0 1"/><geom type="sphere" size="0.1"/>'
+    nested = f'<body name="a">{geom}<body name="b">{geom}<body name="c">{geom}</body></body></body>'
+    exclude = '<contact><exclude body1="a" body2="c"/></contact>'
+    assert mjcf(tmp_path, nested).exclude.tolist() == [[0, 1], [1, 2]]
+    assert mjcf(tmp_path, nested, exclude).exclude.tolist() == [[0, 1], [0, 2], [1, 2]]
+
+
+def test_samples_exclude_what_always_collides(tmp_path: Path) -> None:
+    """Short links that overlap with the one after the next by design."""
+    ball = Part("revolute", (0.07, 0, 0), UPRIGHT, (0, 1, 0), radius=0.1)
+    robot = loaded(Arm([ball] * 4), tmp_path)
+    assert not bool(robot.certify(torch.zeros(1, 2, 4)).free[0])
+    sampled = robot.excluding_sampled(200)
+    assert {(0, 2), (1, 3)} <= {tuple(pair) for pair in sampled.exclude.tolist()}
+    assert torch.equal(sampled.exclude, robot.excluding_sampled(200).exclude)
+    long = loaded(beams(4), tmp_path)
+    assert torch.equal(long.excluding_sampled(200).exclude, long.exclude)
+    for given, message in [
+        ((0,), "samples: expected"),
+        ((9, 1.5), "share: expected a number in"),
+        ((9, 0.5, -1), "seed"),
+    ]:
+        with pytest.raises(ValueError, match="^" + message):
+            long.excluding_sampled(*given)
+    free = mjcf(tmp_path, SLIDER.format('<geom type="sphere" size="0.2"/>'))
+    with pytest.raises(ValueError, match="^samples: joint 'fall' has no limits"):
+        free.excluding_sampled()
+
+
+def test_meshes_of_files(tmp_path: Path) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    pytest.importorskip("yourdfpy")
+    (tmp_path / "robot" / "meshes").mkdir(parents=True)
+    (tmp_path / "robot" / "urdf").mkdir()
+    trimesh.creation.box((1, 2, 3)).export(tmp_path / "robot" / "meshes" / "box.stl")
+    urdf = tmp_path / "robot" / "urdf" / "one.urdf"
+    text = '<robot name="one"><link name="a"><collision><geometry><mesh filename="{}" scale="1 0.5 1"/></geometry>'
+    text += "</collision></link></robot>"
+    for name in ("package://robot/meshes/box.stl", "../meshes/box.stl", f"file://{tmp_path}/robot/meshes/box.stl"):
+        urdf.write_text(text.format(name))
+        assert pgccd.robots.load_urdf(urdf).meshes[0].vertices.max(dim=0).values.tolist() == [0.5, 0.5, 1.5]
+    urdf.write_text(text.format("package://other/meshes/box.stl"))
+    elsewhere = pgccd.robots.load_urdf(urdf, packages={"other": tmp_path / "robot"})
+    assert elsewhere.body_count == 1 and elsewhere.joint_count == 0
+    urdf.write_text(text.format("package://other/meshes/ball.stl"))
+    with pytest.raises(ValueError, match="^path: .*link 'a': package://other/meshes/ball.stl is in no folder above"):
+        pgccd.robots.load_urdf(urdf)
+    urdf.write_text(text.format("../meshes/ball.stl"))
+    with pytest.raises(FileNotFoundError, match="link 'a'"):
+        pgccd.robots.load_urdf(urdf)
+
+
+JOINT = '<joint name="j" type="{}"><parent link="a"/><child link="{}"/><axis xyz="{}"/>{}</joint>'
+
+
+def test_what_urdf_files_cannot_be(tmp_path: Path) -> None:
+    pytest.importorskip("yourdfpy")
+    links = '<link name="a"><collision><geometry><sphere radius="1"/></geometry></collision></link><link name="b"/>'
+    path = tmp_path / "bad.urdf"
+    for body, message in [
+        (links, "expected one link without a parent, got \\['a', 'b'\\]"),
+        (links + JOINT.format("revolute", "c", "0 0 1", ""), "joint 'j': there is no link 'c'"),
+        (
+            links + JOINT.format("floating", "b", "0 0 1", ""),
+            "joint 'j': expected a fixed, revolute, .* got 'floating'",
+        ),
+        (links + JOINT.format("revolute", "b", "0 0 0", ""), "joint 'j': expected a finite origin and an axis"),
+        (links + JOINT.format("revolute", "b", "0 0 1", '<mimic joint="k"/>'), "joint 'j': there is no joint 'k' to"),
+        (links + JOINT.format("revolute", "a", "0 0 1", ""), "joint 'j' is part of a loop"),
+        (links + 2 * JOINT.format("fixed", "b", "0 0 1", ""), "link 'b' is the child of two joints"),
+    ]:
+        path.write_text(f'<robot name="bad">{body}</robot>')
+        with pytest.raises(ValueError, match=f"^path: .*bad.urdf: ({message})"):
+            pgccd.robots.load_urdf(path)
+    path.write_text('<robot name="bad"><link/></robot>')
+    with pytest.raises(ValueError, match="^path: .* cannot be read as URDF: an element has no attribute 'name'"):
+        pgccd.robots.load_urdf(path)
+    path.write_text("<robot><link")
+    with pytest.raises(ValueError, match="^path: .* cannot be read as URDF"):
+        pgccd.robots.load_urdf(path)
+    path.write_text('<robot name="bare"><link name="a"/></robot>')
+    with pytest.raises(ValueError, match="^robot 'bare' has no collision surfaces"):
+        pgccd.robots.load_urdf(path)
+    with pytest.raises(FileNotFoundError, match="^path: "):
+        pgccd.robots.load_urdf(tmp_path / "none.urdf")
+
+
+def test_what_mjcf_files_cannot_be(tmp_path: Path) -> None:
+    sphere = '<geom type="sphere" size="0.2"/>'
+    for kind in ("free", "ball"):
+        with pytest.raises(ValueError, match=f"^path: .*joint 'j': expected a hinge or a slide, got {kind}"):
+            mjcf(tmp_path, f'<body><joint name="j" type="{kind}"/>{sphere}</body>')
+    with pytest.raises(ValueError, match="^path: .* cannot be read as MJCF"):
+        mjcf(tmp_path, "<body><geom/></body>")
+    with pytest.raises(FileNotFoundError, match="^path: "):
+        pgccd.robots.load_mjcf(tmp_path / "none.xml")
+
+
+def test_readers_are_named_where_they_are_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "yourdfpy", None)
+    monkeypatch.setitem(__import__("sys").modules, "mujoco", None)
+    (tmp_path / "a.urdf").write_text("<robot/>")
+    for load, reader in ((pgccd.robots.load_urdf, "yourdfpy"), (pgccd.robots.load_mjcf, "mujoco")):
+        with pytest.raises(ImportError, match=rf"^{reader} reads .*pip install 'pgccd\[robots\]'"):
+            load(tmp_path / "a.urdf")

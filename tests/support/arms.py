@@ -1,0 +1,69 @@
+"""Arms for tests: small hand-written ones, and random ones."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from oracle.arms import Arm, Part
+
+import pgccd
+from pgccd import robots
+
+UPRIGHT = (0.0, 0.0, 0.0)
+
+
+def loaded(arm: Arm, folder: Path) -> robots.Robot:
+    """The robot of an arm's URDF file."""
+    pytest.importorskip("yourdfpy")
+    path = folder / "arm.urdf"
+    path.write_text(arm.urdf())
+    return pgccd.robots.load_urdf(path)
+
+
+def beams(joints: int = 4, length: float = 0.4) -> Arm:
+    """Beams in a row on joints about z and y in turn."""
+    axes = ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0))
+    return Arm(
+        [
+            Part(
+                "revolute",
+                (length if k else 0.0, 0.0, 0.0),
+                UPRIGHT,
+                axes[k % 2],
+                half=(0.5 * length - 0.03, 0.03, 0.03),
+                at=(0.5 * length, 0.0, 0.0),
+            )
+            for k in range(joints)
+        ]
+    )
+
+
+def random_arm(rng: np.random.Generator, parts: int = 6) -> Arm:
+    """Any joints in any places, with boxes, balls, and links without a shape."""
+    made = []
+    for k in range(parts):
+        kind = rng.choice(["revolute", "revolute", "revolute", "prismatic", "fixed"]) if k else "revolute"
+        shape = {}
+        if rng.random() < 0.5:
+            shape = {"half": tuple(rng.uniform(0.02, 0.12, 3))}
+        elif rng.random() < 0.7:
+            shape = {"radius": float(rng.uniform(0.02, 0.1))}
+        if not shape and k == parts - 1:
+            shape = {"half": (0.05, 0.02, 0.1)}
+        mimic = (0, float(rng.uniform(-1, 1)), 0.1) if k > 2 and kind == "revolute" and rng.random() < 0.3 else None
+        axis = rng.normal(size=3) if rng.random() < 0.5 else np.eye(3)[rng.integers(3)]
+        made.append(
+            Part(
+                str(kind),
+                tuple(rng.uniform(-0.3, 0.3, 3)),
+                tuple(rng.uniform(-2, 2, 3)) if rng.random() < 0.5 else UPRIGHT,
+                tuple(axis),
+                at=tuple(rng.uniform(-0.1, 0.1, 3)),
+                mimic=mimic,
+                parent=int(rng.integers(-1, k)) if k and rng.random() < 0.2 else None,
+                **shape,  # type: ignore[arg-type]
+            )
+        )
+    return Arm(made)
