@@ -36,6 +36,8 @@ _WINDOWS = 16
 _ROUNDING = 2.0**-46
 # Faces around a feature whose normals are tried as directions.
 _MOST_FACES = 8
+# Sine of the angle between directions and a plane within which they may be rounded.
+_SLIDING = 2.0**-36
 # Sine of the angle within which a direction is the normal of a face.
 _PARALLEL = 1e-5
 
@@ -158,6 +160,9 @@ def _surroundings_recede(sites: Sites, normal: Tensor, offset: Tensor, noise: Te
     gap = torch.minimum(gap, torch.minimum(*(_height(sites, side, offset, of_surface) for side in (0, 1))))
     sets = _sets_around(sites)
     certain = torch.zeros_like(sets.owner, dtype=torch.bool)
+    met = (norm(offset) <= noise) & (sites.toi > 0.0)
+    velocity = sites.velocity()
+    speed = norm(velocity)
 
     def attempt(direction: Tensor, is_given: Tensor | None = None) -> None:
         """Tries directions (n, 3), one for each pair of sets."""
@@ -165,8 +170,18 @@ def _surroundings_recede(sites: Sites, normal: Tensor, offset: Tensor, noise: Te
         is_open = ~certain & (norm(direction) > 0.0) & (dot(direction, offset[sets.owner]) >= -noise[sets.owner])
         chosen = torch.nonzero(is_open if is_given is None else is_open & is_given)[:, 0]
         if len(chosen):
-            owner = sets.owner[chosen]
-            certain[chosen] = _stay(sites, sets[chosen], direction[chosen], gap[owner], slack[owner])
+            owner, some, along = sets.owner[chosen], sets[chosen], direction[chosen]
+            stays = _stay(sites, some, along, gap[owner], slack[owner])
+            # Features that coincide were apart before, where they came from, or, if they slide, where the sets are.
+            # Sets that came from elsewhere, or slide and are flat, must stay near the plane.
+            closing = dot(along, -velocity[owner])
+            slides = closing.abs() <= _SLIDING * speed[owner]
+            is_flat = _apart_at_toi(sites, some, -along) >= -slack[owner]
+            is_sided = torch.where(slides, ~is_flat, closing > 0.0)
+            both = torch.nonzero(stays & met[owner] & ~is_sided)[:, 0]
+            if len(both):
+                stays[both] = _stay(sites, some[both], -along[both], gap[owner[both]], slack[owner[both]])
+            certain[chosen] = stays
 
     attempt(of_surface[sets.owner])
     attempt(normal[sets.owner])
@@ -274,6 +289,14 @@ def _points_along(sites: Sites, sets: _Sets, direction: Tensor) -> tuple[Tensor,
     owner, along = sets.owner.repeat_interleave(3), direction.repeat_interleave(3, dim=0)
     a, b = (_along(sites, k, owner, (sets.one, sets.other)[k].reshape(-1), along).view(-1, 3) for k in (0, 1))
     return start, change, a, b
+
+
+def _apart_at_toi(sites: Sites, sets: _Sets, direction: Tensor) -> Tensor:
+    """(n,): how far sets are apart at toi along directions (n, 3)."""
+    start, change, a, b = _points_along(sites, sets, direction)
+    time = sites.toi[sets.owner][:, None]
+    at_a, at_b = (points.at(time[:, None])[0][..., 0] for points in (a, b))
+    return (start + change * time)[:, 0] + (at_b.amin(1) - at_a.amax(1))
 
 
 def _lowest_on_lines(sites: Sites, sets: _Sets, direction: Tensor) -> tuple[Tensor, Tensor]:

@@ -183,6 +183,23 @@ def test_curved_paths_whose_rate_is_zero(device: torch.device) -> None:
         assert len(hits.approaching()) == count
 
 
+def test_what_passes_between_the_ends_of_windows(device: torch.device) -> None:
+    """Sixteen turns: after each the tip is where it was, and in between it is below the sheet."""
+    scene, motion = pendulum(0.0, -32 * math.pi, 0.0, device)
+    assert pgccd.detect(scene, motion).approaching().toi.tolist() == [0.0]
+
+
+def test_flat_surfaces_that_pass_through_one_another() -> None:
+    """Nothing around the contacts says on which side they are, only that they are apart at toi, or were before."""
+    for turned_over in (False, True):
+        for travel in (1.0, -1.0):
+            meshes = [sheet(3, 1.0, turned_over), sheet(4, 3.0)]
+            scene, motion = sliding("rigid", meshes, (0.1, 0.2, -1e-4 * travel), (0.1, 0, travel))
+            hits = pgccd.detect(scene, motion)
+            assert len(hits) == 1 and float(hits.toi) > 0.0
+            assert len(hits.approaching()) == 1
+
+
 def test_the_slack(device: torch.device) -> None:
     scene, motion = sliding("rigid", [CUBE, FLOOR], (0, 0, 0.5), (1.0, 0, -1e-3), device)
     hits = pgccd.detect(scene, motion)
