@@ -179,6 +179,7 @@ def calls(folder: Path) -> dict[str, Call]:
             pgccd.detect,
             {"scene": scene, "motion": motion, "report": "first", **options, "broad_phase": "auto", "pairs": pairs}
             | initial
+            | {"normals": "features"}
             | {"memory_budget": 1 << 20, "capacity": pgccd.Capacity.of(9)},
         ),
         "audit": Call(

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from pgccd import arguments
+from pgccd.detection.approaching import WithApproach
 from pgccd.detection.capacity import Capacity
 from pgccd.detection.grouping import By, any_contact, first_time, owners
 from pgccd.ops import ContactRows
@@ -31,6 +32,8 @@ _FORMS: dict[str, tuple[torch.dtype, tuple[int, ...]]] = {
     "segment": (torch.int64, ()),
     "time": (torch.float64, ()),
 }
+# What else contacts have, and pairs do not.
+_OF_CONTACTS = ("first_toi", "starts_intersecting", "earliest", "approach", "approaching", "segment", "time")
 #: Names of the columns of contacts, in the operators' order.
 COLUMNS = ("pairs", "kind", "features", "status", "toi", "coordinates", "point", "normal")
 
@@ -181,7 +184,16 @@ class WithoutTimes:
     if not TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> NoReturn:
-            if name in (*COLUMNS, "first_toi", "starts_intersecting", "earliest", "segment", "time"):
+            if name in (
+                *COLUMNS,
+                "first_toi",
+                "starts_intersecting",
+                "earliest",
+                "approach",
+                "approaching",
+                "segment",
+                "time",
+            ):
                 advice = 'ask for "first", "all" or "earliest", or see `may_collide`'
                 raise AttributeError(f'report: "any" gives pairs without contacts, and no `{name}`: {advice}')
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
@@ -401,7 +413,7 @@ class CollidingPairs(WithoutTimes, CountedRows):
 
 
 @dataclass(eq=False, kw_only=True, repr=False)
-class Contacts(ContactColumns, CountedRows):
+class Contacts(WithApproach, ContactColumns, CountedRows):
     """K contacts, sorted by pair, then kind and features. Equal (`==`) if all columns are, bit by bit. Points and
     normals are in the world frame, lengths in the scene's units.
 
@@ -469,6 +481,7 @@ class Contacts(ContactColumns, CountedRows):
         found = self[row]
         earliest = replace(found, stats=replace(found.stats, contacts=len(found)))
         earliest.scene, earliest.payload, earliest._differentiable = self.scene, found.payload, found._differentiable
+        earliest._cause = self._cause
         earliest._is_of_rank, earliest._is_earliest = self._is_of_rank, True
         earliest._has_each_world = by == "world"
         return earliest
@@ -478,10 +491,16 @@ class Contacts(ContactColumns, CountedRows):
         """Columns by which contacts are early."""
         return (self.toi,)
 
+    @property
+    def _moving_bodies(self) -> Tensor:
+        """(K, 2): rows of the motion that they were found with."""
+        return self.pairs
+
     def _map(self, change: Callable[[Tensor], Tensor]) -> Self:
         changed = super()._map(change)
         changed._is_earliest, changed._has_each_world = self._is_earliest, self._has_each_world
         changed._differentiable = None if self._differentiable is None else change(self._differentiable)
+        changed._cause = self._cause
         return changed
 
 

@@ -27,17 +27,7 @@ def add_gradients(
         scene, motion: with gradients.
         separation: min_separation, () if it requires grad.
     """
-    mesh = scene.mesh_index[found.pairs].long()
-    rows = _corner_rows(scene.meshes, mesh, found.kind, found.features)
-    if isinstance(motion, RigidMotion):
-        offsets = scene.meshes.offsets[:, 0].to(scene.device)
-        vertices = scene.meshes.tensors[0][offsets[mesh][:, :, None] + rows]
-        position, velocity = _rigid_points(motion, found.pairs, vertices, found.toi[:, None, None, None])
-    else:
-        rows = rows + scene.layout.vertex_begin[found.pairs][:, :, None]
-        x_t0, x_t1 = rows_of(motion.x_t0, rows), rows_of(motion.x_t1, rows)
-        velocity = x_t1 - x_t0
-        position = x_t0 + found.toi[:, None, None, None] * velocity
+    position, velocity = corner_points(scene, motion, found.pairs, found.kind, found.features, found.toi)
     between = torch.zeros_like(found.toi) + separation
     if scene.margin is not None:
         between = between + rows_of(scene.margin, found.pairs).sum(1)
@@ -48,6 +38,30 @@ def add_gradients(
     for name in ("toi", "coordinates", "point", "normal"):
         setattr(found, name, with_gradient_of(getattr(found, name), getattr(differentiated, name), name))
     found._differentiable = differentiated.differentiable
+
+
+def corner_points(
+    scene: Scene, motion: RigidMotion | VertexMotion, bodies: Tensor, kind: Tensor, features: Tensor, toi: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Positions at toi and velocities (K, 2, 3, 3) of the corners of features, see `Corners`; with gradients.
+
+    Args:
+        scene, motion: of the bodies.
+        bodies: (K, 2) rows of the motion.
+        kind, features, toi: columns of contacts.
+    """
+    mesh = scene.mesh_index[bodies].long()
+    rows = _corner_rows(scene.meshes, mesh, kind, features)
+    if isinstance(motion, RigidMotion):
+        offsets = scene.meshes.offsets[:, 0].to(scene.device)
+        vertices = scene.meshes.tensors[0][offsets[mesh][:, :, None] + rows]
+        position, velocity = _rigid_points(motion, bodies, vertices, toi[:, None, None, None])
+    else:
+        rows = rows + scene.layout.vertex_begin[bodies][:, :, None]
+        x_t0, x_t1 = rows_of(motion.x_t0, rows), rows_of(motion.x_t1, rows)
+        velocity = x_t1 - x_t0
+        position = x_t0 + toi[:, None, None, None] * velocity
+    return position, velocity
 
 
 def _corner_rows(meshes: MeshSet, mesh: Tensor, kind: Tensor, features: Tensor) -> Tensor:

@@ -2,22 +2,26 @@
 
 import time
 from functools import partial
-from typing import Literal, TypedDict, Unpack, overload
+from typing import Any, Literal, TypedDict, Unpack, overload
 
+import torch
 from torch import Tensor
 
 from pgccd import arguments, ops
 from pgccd.detection import broad, narrow
+from pgccd.detection.approach import Cause, versions_of
 from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.capacity import EXACTLY, BufferSizes, Capacity, sizes_of
 from pgccd.detection.checks import Initial, check_pairs, separation_value, warn_of_only_body
-from pgccd.detection.contacts import CollidingPairs, Contacts
+from pgccd.detection.contacts import CollidingPairs, Contacts, earliest_of_each
 from pgccd.detection.gradients import add_gradients
 from pgccd.detection.memory import CapacityEstimate, estimate_of, memory_limit, pairs_a_chunk
 from pgccd.detection.padded import PaddedSearch, search_padded, search_rigid
 from pgccd.detection.padded_contacts import PaddedCollidingPairs, PaddedContacts
 from pgccd.detection.query import Query
+from pgccd.detection.sites import Sites
 from pgccd.detection.streaming import stream
+from pgccd.detection.surface_normals import NORMALS, Normals, surface_normals
 from pgccd.detection.trajectories import TrajectoryContacts, detect_trajectory
 from pgccd.geometry.scene import Scene
 from pgccd.motion.differentiable import any_differentiated
@@ -35,6 +39,7 @@ class DetectOptions(TypedDict, total=False):
     tolerance: float | None
     nonzero_toi: bool
     initial: Initial
+    normals: Normals
     broad_phase: broad.BroadPhase
     memory_budget: int | None
 
@@ -146,6 +151,7 @@ def detect(
     tolerance: float | None = None,
     nonzero_toi: bool = False,
     initial: Initial = "report",
+    normals: Normals = "features",
     broad_phase: broad.BroadPhase = "auto",
     pairs: Tensor | None = None,
     memory_budget: int | None = None,
@@ -178,6 +184,12 @@ def detect(
         nonzero_toi: never report toi = 0 for a pair that starts further apart than min_separation (beyond rounding).
         initial: "report": surfaces that intersect at t = 0 are reported. "assume_free": the caller guarantees that none
             do, for example because a previous step ended before its first contact; the test is left out.
+        normals: "features": `Contacts.normal` is the direction between the nearest points of the two features. Where a
+            body slides over an edge between coplanar faces, that may be any. "surface": it is replaced by the nearest
+            direction that the faces around these points admit: of a flat or concave edge the normal of a face, of a
+            convex one anything between those of its two faces, which features have. All other columns stay. Costs time
+            and memory proportional to contacts; not with a capacity, nor where an input requires grad. See
+            docs/how-to/solver.md.
         broad_phase: how the PCS is found: "sweep", "grid", "lbvh", or "auto", which chooses by number and sizes of the
             bodies (see `stats`). The result does not depend on it.
         pairs: (P, 2) int64, i < j (or i, i for a body tested against itself), sorted and unique: test only these body
@@ -207,6 +219,9 @@ def detect(
     query = Query(report, separation_value(min_separation), tolerance, nonzero_toi, initial)
     if memory_budget is not None:
         memory_budget = arguments.integer(memory_budget, "memory_budget", 1, "a number of bytes > 0")
+    arguments.choice(normals, "normals", NORMALS)
+    if normals != "features" and capacity is not None:
+        raise ValueError(f'normals: contacts in a given capacity have those of the "features", got {normals!r}')
     sizes = None if capacity is None else sizes_of(capacity)
     if not isinstance(scene, Scene):
         raise TypeError(f"scene: expected a pgccd.Scene, got {arguments.describe(scene)}")
@@ -219,7 +234,7 @@ def detect(
         if capacity is not None:
             raise ValueError("capacity: cannot be given with a Trajectory, whose segments are found in one call")
         options: DetectOptions = {"tolerance": tolerance, "nonzero_toi": nonzero_toi, "initial": initial}
-        options |= {"broad_phase": broad_phase, "memory_budget": memory_budget}
+        options |= {"normals": normals, "broad_phase": broad_phase, "memory_budget": memory_budget}
         detect_step = partial(detect, min_separation=min_separation, **options)
         return detect_trajectory(scene, motion, query, detect_step, pairs)
     given = scene, motion
@@ -229,6 +244,11 @@ def detect(
             raise ValueError(
                 "capacity: contacts in a given capacity have no gradients, but an input requires grad: leave the "
                 "capacity out, or call it under torch.no_grad()"
+            )
+        if normals != "features":
+            raise ValueError(
+                f'normals: {normals!r} have no gradients, but an input requires grad: use "features", or call it under '
+                "torch.no_grad()"
             )
         scene, motion = scene._detached(), motion._detached()
     on_cpu = scene.device.type == "cpu"
@@ -247,9 +267,26 @@ def detect(
     found = detect_moving(bodies, query, broad_phase, pairs, memory_budget)
     found.stats.seconds = {"bounds": seconds} | found.stats.seconds
     found.scene = given[0]
-    if differentiated and isinstance(found, Contacts):
+    if isinstance(found, CollidingPairs):
+        return found
+    if differentiated:
         add_gradients(found, *given, min_separation)
+    elif normals == "surface":
+        found.normal = surface_normals(Sites.of(found, scene, motion, found.pairs), found.normal)
+    options = {"tolerance": tolerance, "nonzero_toi": nonzero_toi, "initial": initial, "normals": normals}
+    again = partial(_approaching, *given, min_separation=min_separation, memory_budget=memory_budget, **options)
+    found._cause = Cause(*given, tolerance, report == "first", again, versions_of(motion))
     return found
+
+
+def _approaching(
+    scene: Scene, motion: RigidMotion | VertexMotion, pairs: Tensor, slack: float | None, **options: Any
+) -> Contacts:
+    """The first contacts that approach of some pairs (P, 2), see `Cause.again`."""
+    found: Contacts = detect(scene, motion, "all", pairs=pairs, **options)
+    found = found.approaching(slack)
+    _, owner = torch.unique(found.pairs, dim=0, return_inverse=True)
+    return found[earliest_of_each(owner, len(found), found.toi)]
 
 
 def detect_moving(

@@ -1,6 +1,7 @@
 """Detection along a trajectory: all segments in one call."""
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import ClassVar, Protocol
 
 import torch
@@ -43,6 +44,11 @@ class TrajectoryContacts(Contacts):
     @property
     def _order(self) -> tuple[Tensor, ...]:
         return self.segment, self.toi
+
+    @property
+    def _moving_bodies(self) -> Tensor:
+        assert self.scene is not None
+        return self.pairs + self.segment[:, None] * self.scene.body_count
 
     def first_toi(self, by: By = "scene") -> Tensor:
         """The first `time` along the whole trajectory: in [0, 1], float64, inf without a contact.
@@ -97,9 +103,13 @@ def detect_segments(
         first_body = torch.arange(segments, device=scene.device)[:, None, None] * count
         pairs = (given + first_body).reshape(-1, 2)
     found = detect_step(copies, steps, report, pairs=pairs)
-    of_pairs = found.pairs
-    segment = torch.div(of_pairs[:, 0], max(1, count), rounding_mode="floor")
-    return found, segment, of_pairs - segment[:, None] * count
+    return found, *_in_scene(found.pairs, count)
+
+
+def _in_scene(pairs: Tensor, count: int) -> tuple[Tensor, Tensor]:
+    """Of pairs (K, 2) of the copies of `count` bodies the segment (K,) and the pair (K, 2) of the scene."""
+    segment = torch.div(pairs[:, 0], max(1, count), rounding_mode="floor")
+    return segment, pairs - segment[:, None] * count
 
 
 def detect_trajectory(
@@ -108,32 +118,49 @@ def detect_trajectory(
     """`pgccd.detect` for a trajectory."""
     # "earliest" selects from the first contacts of all segments.
     report: narrow.Report = "first" if query.report == "earliest" else query.report
-    found, segment, bodies = detect_segments(scene, trajectory, report, detect_step, pairs)
-    segments, count = trajectory.segment_count, scene.body_count
-    stats = replace(found.stats, bodies=count, needed=None)
+    found, _, bodies = detect_segments(scene, trajectory, report, detect_step, pairs)
     if isinstance(found, CollidingPairs):
         bodies = torch.unique(bodies, dim=0) if len(bodies) else bodies
-        stats.contacts = len(bodies)
+        stats = replace(found.stats, bodies=scene.body_count, needed=None, contacts=len(bodies))
         colliding = CollidingPairs(pairs=bodies, stats=stats)
         colliding.scene = scene
         return colliding
+    return _of_trajectory(found, scene, trajectory.segment_count, query.report)
+
+
+def _of_trajectory(found: Contacts, scene: Scene, segments: int, report: narrow.Report) -> TrajectoryContacts:
+    """Contacts along a trajectory, from those of all its segments."""
+    count = scene.body_count
+    segment, pairs = _in_scene(found.pairs, count)
     chosen: Tensor | slice = slice(None)
-    if query.report == "first":
-        chosen = _first_of_pairs(bodies, count)
-    elif query.report == "earliest" and len(bodies):
+    if report == "first":
+        chosen = _first_of_pairs(pairs, count)
+    elif report == "earliest" and len(pairs):
         first = segment[0]  # rows are sorted by segment
         chosen = earliest_row(torch.where(segment == first, found.toi, torch.inf))
-    columns = {name: column[chosen] for name, column in (found.columns | {"pairs": bodies}).items()}
+    columns = {name: column[chosen] for name, column in (found.columns | {"pairs": pairs}).items()}
     segment = segment[chosen]
     time = time_along(segment, columns["toi"].detach(), segments)
     if columns["toi"].requires_grad:
         time = with_gradient_of(time, columns["toi"] / segments, "time")
-    stats.contacts = len(segment)
+    stats = replace(found.stats, bodies=count, needed=None, contacts=len(segment))
     contacts = TrajectoryContacts(**columns, stats=stats, segment=segment, time=time)
     contacts.scene = scene
-    contacts._is_earliest = query.report == "earliest"
+    contacts._is_earliest = report == "earliest"
     contacts._differentiable = None if found._differentiable is None else found._differentiable[chosen]
+    if found._cause is not None:
+        contacts._cause = replace(found._cause, again=partial(_approaching, found, scene, segments))
     return contacts
+
+
+def _approaching(
+    found: Contacts, scene: Scene, segments: int, pairs: Tensor, slack: float | None
+) -> TrajectoryContacts:
+    """The first contacts that approach of some pairs (P, 2), from those of all segments, see `Cause.again`."""
+    count = scene.body_count
+    _, of_scene = _in_scene(found.pairs, count)
+    keys, wanted = (each[:, 0] * count + each[:, 1] for each in (of_scene, pairs))
+    return _of_trajectory(found[torch.isin(keys, wanted)].approaching(slack), scene, segments, "first")
 
 
 def time_along(segment: Tensor, toi: Tensor, segments: int) -> Tensor:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from os import PathLike
 from typing import Any
 
@@ -14,6 +15,7 @@ from torch import Tensor
 from pgccd import _host, arguments
 from pgccd.geometry import mesh_files, shapes
 from pgccd.geometry.boxes import elongated_box
+from pgccd.geometry.incidence import Incidence
 from pgccd.geometry.origin import Origin, checked_origin, origin_point
 from pgccd.geometry.rounding import is_float32, warn_of_rounding
 
@@ -394,6 +396,12 @@ class MeshSet:
         columns_of_all = (*joined, corners, self.offsets, centres, reaches, supports, boxes)
         self.tensors = [tensor.contiguous().to(device) for tensor in columns_of_all]
         self.device = self.tensors[0].device
+
+    @cached_property
+    def _incidence(self) -> Incidence:
+        """Which faces and edges meet. Made when first asked for."""
+        vertices, faces, edges = (tensor.cpu() for tensor in self.tensors[:3])
+        return Incidence.of(vertices, faces, edges, self.offsets).to(self.device)
 
     def __len__(self) -> int:
         return len(self.meshes)
