@@ -31,7 +31,7 @@ def test_a_wall_of_the_floor_that_a_body_rests_on(
         assert gap == 1e-9 or "normals" in options or float(hits.first_toi()) == 0.0
         ahead = hits.approaching()
         assert abs(float(ahead.first_toi()) - (4.0 - separation) / 8.0) < 1e-6
-        assert ahead.stats.contacts == len(ahead) < max(len(hits), 2)
+        assert ahead.stats.contacts == len(ahead) <= len(hits)
         first = ahead.earliest()
         assert float(first.approach) == pytest.approx(8.0, abs=1e-6)
         if report == "first":
