@@ -29,8 +29,9 @@ class Passages(TrajectoryContacts):
         >>> deep = passages[passages.measure > 0.01]
     """
 
-    approach: Tensor
-    measure: Tensor
+    # With defaults, so that they take the place of the property of contacts.
+    approach: Tensor = None  # type: ignore[assignment]
+    measure: Tensor = None  # type: ignore[assignment]
 
     _names: ClassVar[tuple[str, ...]] = (*TrajectoryContacts._names, "approach", "measure")
 
