@@ -72,6 +72,17 @@ class DetectStep(Protocol):
         """As `pgccd.detect`."""
 
 
+def check_trajectory(scene: Scene, trajectory: Trajectory) -> None:
+    """Raises ValueError if a trajectory is on another device, or is that of another number of bodies."""
+    if scene.device != trajectory.device:
+        raise ValueError(f"motion: is on {trajectory.device}, the scene on {scene.device}")
+    rows, expected, what = trajectory.position.shape[1], scene.body_count, "bodies"
+    if trajectory.orientation is None:
+        expected, what = scene.layout.vertex_count, "vertices"
+    if rows != expected:
+        raise ValueError(f"motion: has {rows} {what}, the scene {expected}")
+
+
 def detect_segments(
     scene: Scene,
     trajectory: Trajectory,
@@ -87,15 +98,8 @@ def detect_segments(
     """
     steps = trajectory.steps()
     segments, count = trajectory.segment_count, scene.body_count
-    if scene.device != trajectory.device:
-        raise ValueError(f"motion: is on {trajectory.device}, the scene on {scene.device}")
     check_scene(scene._detached())
-    rows, expected = trajectory.position.shape[1], count
-    if trajectory.orientation is None:
-        expected = scene.layout.vertex_count
-    if rows != expected:
-        what = "vertices" if trajectory.orientation is None else "bodies"
-        raise ValueError(f"motion: has {rows} {what}, the scene {expected}")
+    check_trajectory(scene, trajectory)
     copies = repeated(scene, segments)
     copies.margin = trajectory._margins(copies.margin, count)
     if pairs is not None:

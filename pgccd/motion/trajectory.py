@@ -240,14 +240,16 @@ class Trajectory:
         if self.margin.shape[1] != bodies:
             expected = f"shape ({self.segment_count}, {bodies}), as the scene has {bodies} bodies"
             raise ValueError(f"margin: expected {expected}, got {tuple(self.margin.shape)}")
-        own = self.margin.reshape(-1)
-        if of_scene is None:
-            return own.contiguous()
-        total = own + of_scene
-        is_exact = (own == 0.0) | (of_scene == 0.0)
-        plain = total.detach()
-        rounded = torch.where(is_exact, plain, torch.nextafter(plain, torch.full_like(plain, torch.inf)))
-        return total + (rounded - plain)  # exact, with the gradient of the sum
+        return sum_of_margins(self.margin.reshape(-1), of_scene)
+
+    def _stopped(
+        self, position: Tensor, orientation: Tensor | None, rotation: Tensor | None, margin: Tensor | None
+    ) -> Trajectory:
+        """This trajectory with other columns, as accurate as the given ones."""
+        made = copy.copy(self)
+        made.position, made.orientation, made.rotation, made.margin = position, orientation, rotation, margin
+        made._check(slice(0, None))
+        return made
 
     def _motion(self, segments: slice) -> RigidMotion | VertexMotion:
         ends = slice(segments.start + 1, segments.stop + 1)
@@ -259,6 +261,17 @@ class Trajectory:
             return RigidMotion.from_rotation(start, first, end, self.rotation[segments].reshape(-1, 3), self.path)
         turn = (self.orientation[rows].reshape(-1, 4) for rows in (segments, ends))
         return RigidMotion(start, next(turn), end, next(turn), self.path)
+
+
+def sum_of_margins(own: Tensor, of_scene: Tensor | None) -> Tensor:
+    """(N,) the margins (N,) and those of the scene, if any; sums are rounded up."""
+    if of_scene is None:
+        return own.contiguous()
+    total = own + of_scene
+    is_exact = (own == 0.0) | (of_scene == 0.0)
+    plain = total.detach()
+    rounded = torch.where(is_exact, plain, torch.nextafter(plain, torch.full_like(plain, torch.inf)))
+    return total + (rounded - plain)  # exact, with the gradient of the sum
 
 
 def _length(rows: Tensor) -> Tensor:

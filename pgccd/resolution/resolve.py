@@ -20,6 +20,7 @@ from pgccd.detection.padded import search_padded
 from pgccd.detection.passes import SearchPass, find_pass
 from pgccd.detection.pipeline import detect_moving
 from pgccd.detection.query import Query
+from pgccd.detection.trajectories import check_trajectory
 from pgccd.geometry.columns import bool_column
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
@@ -141,10 +142,11 @@ def resolve(
     if isinstance(motion, Trajectory) and isinstance(scene, Scene):
         if sizes is not None:
             raise TypeError("motion: with a capacity, expected one step, got a Trajectory")
-        if scene.device != motion.device:
-            raise ValueError(f"motion: is on {motion.device}, the scene on {scene.device}")
+        check_trajectory(scene, motion)
         options: ResolveOptions = {"tolerance": tolerance, "initial": initial, "broad_phase": broad_phase}
-        return resolve_segments(scene, motion, lambda step: resolve(scene, step, movable, min_separation, **options))
+        return resolve_segments(
+            scene, motion, lambda thick, step: resolve(thick, step, movable, min_separation, **options)
+        )
     bodies = MovingBodies.of(
         scene, motion, wait=sizes is None and isinstance(scene, Scene) and scene.device.type == "cpu"
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -12,7 +13,7 @@ from torch import Tensor
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.rotation import integrate_orientation
-from pgccd.motion.trajectory import Trajectory
+from pgccd.motion.trajectory import Trajectory, sum_of_margins
 from pgccd.resolution.results import Resolution
 from pgccd.resolution.search import body_of_vertex
 
@@ -26,7 +27,7 @@ class TrajectoryResolution:
 
     Attributes:
         motion: where the bodies go. A body that turns and is stopped within a segment follows its path there up to the
-            rounding of the orientation at which it stops.
+            rounding of the orientation at which it stops. It keeps the margin of that segment.
         segments: S motions, the same paths as they were tested: nothing touches on them except the pairs in
             `touching_at_start` and `unresolved`.
         fraction: (S, N) float64 in [0, 1], the part of each segment that each body moves: 1, then in one segment less
@@ -34,7 +35,7 @@ class TrajectoryResolution:
         stopped_by: (N,) int64, index of the body whose contact stopped this one, as of `Resolution`; -1 for none.
         touching_at_start: (P, 2) int64 pairs i <= j, sorted, that touch at the beginning of the first segment.
         unresolved: (U, 2) int64 pairs i <= j, sorted, others that are not proven free in some segment; in each of them
-            a body may not be stopped.
+            a body may not be stopped, or a margin is larger than in the segment before.
         rounds: number of detections in rounds, over all segments.
     """
 
@@ -54,19 +55,25 @@ class TrajectoryResolution:
 def resolve_segments(
     scene: Scene,
     trajectory: Trajectory,
-    resolve: Callable[[RigidMotion | VertexMotion], Resolution[Any]],
+    resolve: Callable[[Scene, RigidMotion | VertexMotion], Resolution[Any]],
 ) -> TrajectoryResolution:
-    """Resolves the segments of a trajectory of the bodies of a scene one by one, each by `resolve`."""
+    """Resolves the segments of a trajectory of the bodies of a scene one by one, each by `resolve`, which is given the
+    scene with the margins of that segment.
+    """
     count, device = scene.body_count, scene.device
     body = torch.arange(count, device=device) if trajectory.orientation is not None else body_of_vertex(scene)
     stopped = torch.zeros(count, dtype=torch.bool, device=device)
     by = torch.full((count,), -1, dtype=torch.int64, device=device)
     waypoints = [tuple(pose[0] for pose in (trajectory.position, trajectory.orientation) if pose is not None)]
     made: list[Resolution[Any]] = []
-    fractions = []
+    fractions, margins = list[Tensor](), list[Tensor]()
+    trajectory._margins(None, count)  # checks their number
     for segment in range(trajectory.segment_count):
         step = _held(trajectory.segment(segment), waypoints[-1], stopped[body][:, None])
-        resolved = resolve(step)
+        if trajectory.margin is not None:
+            margin = trajectory.margin[segment]
+            margins.append(torch.where(stopped, margins[-1], margin) if margins else margin)
+        resolved = resolve(_thickened(scene, margins[-1]) if margins else scene, step)
         made.append(resolved)
         fractions.append(resolved.fraction.masked_fill(stopped, 0.0))
         newly = ~stopped & (resolved.fraction < 1.0)
@@ -76,11 +83,14 @@ def resolve_segments(
         waypoints.append(tuple(torch.where(rows, end, pose) for end, pose in zip(ends, given, strict=True)))
     touching = made[0].touching_at_start
     unresolved = [part.unresolved for part in made]
-    # Bodies that touch later without having been stopped apart: one of them could not be stopped.
+    # Bodies that touch later without having been stopped apart: one of them may not be stopped, or a margin has grown.
     unresolved += [_without(part.touching_at_start, touching) for part in made[1:]]
     position, *orientation = (torch.stack(column) for column in zip(*waypoints, strict=True))
+    rotation = None if trajectory.rotation is None else torch.stack([part.motion.rotation for part in made])
     return TrajectoryResolution(
-        Trajectory(position, orientation[0] if orientation else None, trajectory.path),
+        trajectory._stopped(
+            position, orientation[0] if orientation else None, rotation, torch.stack(margins) if margins else None
+        ),
         [part.motion for part in made],
         torch.stack(fractions),
         by,
@@ -88,6 +98,14 @@ def resolve_segments(
         torch.cat(unresolved).unique(dim=0),
         sum(part.rounds for part in made),
     )
+
+
+def _thickened(scene: Scene, margin: Tensor) -> Scene:
+    """The scene with more margin (N,) of each body."""
+    estimates = scene._capacity_estimates  # the copy shares them
+    thick = copy.copy(scene)
+    thick.margin, thick._capacity_estimates = sum_of_margins(margin, scene.margin), estimates
+    return thick
 
 
 def _held(step: RigidMotion | VertexMotion, now: tuple[Tensor, ...], stopped: Tensor) -> RigidMotion | VertexMotion:

@@ -242,7 +242,7 @@ def test_ranks_that_disagree_fail_together(ranks: World) -> None:
 
 
 def move_differently(comm: Comm) -> str:
-    mesh, still = crowds()["one body"].meshes[0], torch.full((1, 3), 1.0 + comm.rank).double()
+    mesh, still = crowds()["one body"].meshes[0], torch.full((1, 3), 1.0 + 5.0 * comm.rank).double()
     upright = torch.tensor([[1.0, 0.0, 0.0, 0.0]]).double()
     world = SharedWorld.create([mesh], (0.0,) * 3, (8.0,) * 3, still, comm=comm)
     motion: Any = pgccd.RigidMotion(still, upright, still, upright)

@@ -288,8 +288,8 @@ def test_mistakes_are_named(ranks: World) -> None:
     for said in ranks.run(2, mistakes):  # type: ignore[attr-defined]
         assert "motion: has" in said[0] and "vertices, this rank owns" in said[0]
         assert "vertices, this rank owns" in said[1]
-        assert said[2] == "motion: ranks have [1, 2] segments"
-        assert said[3] == "margin: expected a margin of the trajectory on all ranks or on none"
+        assert said[2] == "motion.segment_count: rank 0 has 1, rank 1 has 2"
+        assert said[3] == "motion.margin: rank 0 has 'not given', rank 1 has 'given'"
         assert said[4].startswith("motion: expected a pgccd.RigidMotion, VertexMotion or Trajectory")
         assert said[5].startswith("x: expected (") and said[6].startswith("y: not a payload of this world")
 

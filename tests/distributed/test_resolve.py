@@ -207,10 +207,51 @@ def disagreements(comm: Comm) -> None:
     path = pgccd.Trajectory(still.position_t0.expand(count, 1, 3), still.orientation_t0.expand(count, 1, 4))
     with pytest.raises(DisagreementError, match="motion.segment_count: rank 0 has 1, rank 1 has 2"):
         world.step(path, resolve=True)
+    path = pgccd.Trajectory(still.position_t0.expand(2, 1, 3), still.orientation_t0.expand(2, 1, 4))
+    thick = pgccd.Trajectory(path.position, path.orientation, margin=torch.zeros(1, 1))
+    for resolve in (True, False):
+        with pytest.raises(DisagreementError, match="motion.margin: rank 0 has 'not given', rank 1 has 'given'"):
+            world.step(thick if comm.rank else path, resolve=resolve)
 
 
 def test_ranks_resolve_together(ranks: RankPool) -> None:
     ranks.run(2, disagreements)
+
+
+def mistakes_of_one_rank(comm: Comm) -> list[list[str]]:
+    """What all ranks raise if the last one is wrong; the world goes on."""
+    world, still = one_box_a_rank(comm)
+    last, said = comm.rank == comm.size - 1, []
+    linear = pgccd.RigidMotion(
+        *[still.columns()[name] for name in ("position_t0", "orientation_t0")] * 2, path="linear"
+    )
+    path = pgccd.Trajectory(still.position_t0.expand(2, 1, 3), still.orientation_t0.expand(2, 1, 4))
+    wrong: list[tuple[Any, Any]] = [
+        (still[:0], None),
+        (linear, None),
+        (path.position, None),
+        (pgccd.Trajectory(path.position, path.orientation, "linear"), None),
+        (pgccd.Trajectory(path.position.expand(2, 2, 3), path.orientation.expand(2, 2, 4)), None),
+        (pgccd.Trajectory(path.position[:, :0]), None),
+        (still, [True, True]),
+        (still, "yes"),
+        (path, [1.0]),
+    ]
+    for motion, movable in wrong:
+        right = path if isinstance(motion, pgccd.Trajectory) else still
+        of_step: list[dict[str, Any]] = [{"resolve": True, "movable": movable}] + [{}] * (movable is None)
+        for options in of_step:
+            with pytest.raises((TypeError, ValueError)) as caught:
+                world.step(motion if last else right, **(options if last else {"resolve": "resolve" in options}))
+            said.append(str(caught.value))
+    assert len(world.step(still)) == 0 and world.steps_made == 1
+    return said
+
+
+def test_mistakes_of_one_rank_are_named_on_all(ranks: RankPool) -> None:
+    names = [*["motion"] * 12, *["movable"] * 3]
+    for said in ranks.run(2, mistakes_of_one_rank):
+        assert [text.removeprefix("rank 1: ").split(":")[0] for text in said] == names, said
 
 
 def no_bodies(comm: Comm) -> list[int]:

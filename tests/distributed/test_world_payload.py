@@ -192,6 +192,8 @@ def test_sums_are_made_in_the_order_of_contacts() -> None:
         (values[:5], ValueError, r"values: expected \(6, 2, ...\) on cpu, got \(5, 2\) on cpu"),
         (values.long(), TypeError, "values: expected a tensor of floating-point numbers, got a int64 tensor"),
         ([1.0], TypeError, "values: expected a tensor of floating-point numbers, got list"),
+        (values.to(torch.float8_e5m2), TypeError, "values: expected a tensor of floating-point numbers, got a float8"),
+        (values.to_sparse(), TypeError, "values: expected a tensor of floating-point numbers, got "),
     ):
         with pytest.raises(error, match=f"^{problem}"):
             world.sum_per_body(hits, wrong)

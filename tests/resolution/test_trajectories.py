@@ -56,6 +56,61 @@ def test_a_driven_body_and_pairs_in_contact(device: torch.device) -> None:
     assert resolved.stopped_by.tolist() == [1, 0, 3, -1]
 
 
+def with_margin(trajectory: pgccd.Trajectory, margin: list[list[float]]) -> pgccd.Trajectory:
+    thickness = torch.tensor(margin, dtype=torch.float64, device=trajectory.device)
+    return pgccd.Trajectory(trajectory.position, trajectory.orientation, margin=thickness)
+
+
+@pytest.mark.parametrize("of_scene", [None, 0.25])
+def test_margins_of_segments(device: torch.device, of_scene: float | None) -> None:
+    """0 stops before 1 in the second segment, where it is thick. It stays so, and 2 runs into it from behind."""
+    scene, trajectory = on_a_line(device, [0.0, 1.0, 2.0, 2.0], [4.0] * 4, [-6.0, -6.0, -6.0, -1.0])
+    margin = 1.5
+    if of_scene is not None:
+        scene = pgccd.Scene(scene.meshes, scene.mesh_index, margin=torch.tensor([of_scene, 0.0, 0.0], device=device))
+        margin -= of_scene
+    thick = with_margin(trajectory, [[0.0, 0.0, 0.0], [margin, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    assert bool((pgccd.resolve(scene, trajectory).fraction == 1.0).all())
+    resolved = pgccd.resolve(scene, thick)
+    half, most = pytest.approx(0.495), pytest.approx(0.99, abs=0.01)
+    assert resolved.fraction.tolist() == [[1.0] * 3, [half, half, 1.0], [0.0, 0.0, most]]
+    assert resolved.stopped_by.tolist() == [1, 0, 0]
+    assert resolved.motion.margin is not None and resolved.motion.margin[:, 0].tolist() == [0.0, margin, margin]
+    assert len(resolved.touching_at_start) == 0 == len(resolved.unresolved)
+    assert len(pgccd.detect(scene, resolved.motion, nonzero_toi=True)) == 0 < len(pgccd.detect(scene, thick))
+    with pytest.raises(ValueError, match=r"margin: expected shape \(3, 3\), as the scene has 3 bodies, got \(3, 2\)"):
+        thick.margin = thick.margin[:, :2]
+        pgccd.resolve(scene, thick)
+
+
+def test_a_margin_that_grows(device: torch.device) -> None:
+    """Both bodies stop where one has become thick."""
+    scene, trajectory = on_a_line(device, [0.0] * 3, [2.0] * 3)
+    resolved = pgccd.resolve(scene, with_margin(trajectory, [[0.0, 0.0], [0.0, 1.5]]))
+    assert resolved.fraction.tolist() == [[1.0, 1.0], [0.0, 0.0]]
+    assert len(resolved.touching_at_start) == 0 and resolved.unresolved.tolist() == [[0, 1]]
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_turns_of_more_than_half_a_revolution(device: torch.device, dtype: torch.dtype) -> None:
+    """Bodies go on turning as they were given, and stop on the way."""
+    scene, trajectory = on_a_line(device, [0.0, 1.0, 2.0, 3.0], [9.0, 7.0, 3.0, 3.0])
+    start, upright = trajectory.position[0], trajectory.orientation[0]  # type: ignore[index]
+    spin = torch.tensor([[0.0, 0.0, 4.0], [0.0, 5.0, 0.0]], dtype=dtype, device=device).expand(3, 2, 3)
+    velocity = (trajectory.position[1:] - trajectory.position[:-1]).to(dtype)
+    turning = pgccd.Trajectory.from_velocity(start.to(dtype), upright.to(dtype), velocity, spin, 1.0)
+    resolved = pgccd.resolve(scene, turning)
+    assert resolved.fraction[0].tolist() == [1.0, 1.0] and 0.0 < float(resolved.fraction[1, 0]) < 1.0
+    turned = resolved.motion.rotation
+    assert turned is not None
+    assert torch.equal(turned, torch.where(resolved.fraction < 1.0, resolved.fraction, 1.0)[:, :, None] * spin.double())
+    for segment, part in enumerate(resolved.segments):
+        again = resolved.motion.segment(segment).columns()
+        for name, column in part.columns().items():
+            assert torch.allclose(column, again[name], rtol=0.0, atol=1e-7), name
+    assert len(pgccd.detect(scene, resolved.motion, nonzero_toi=True)) == 0
+
+
 @pytest.mark.filterwarnings("ignore:scene. it has one body")
 def test_random_scenes(device: torch.device) -> None:
     """Nothing outside the lists touches on the segments, which begin where the ones before have ended."""
@@ -120,5 +175,7 @@ def test_arguments() -> None:
         pgccd.resolve(scene, trajectory, capacity=pgccd.Capacity.of(2))  # type: ignore[call-overload]
     with pytest.raises(ValueError, match="motion: has 2 bodies, the scene 1"):
         pgccd.resolve(pgccd.Scene([pgccd.Mesh.box([1.0] * 3)], [0]), trajectory)
+    with pytest.raises(ValueError, match="motion: has 2 bodies, the scene 3"):
+        pgccd.resolve(pgccd.Scene([pgccd.Mesh.box([1.0] * 3)], [0] * 3), trajectory)
     with pytest.raises(ValueError, match="movable: expected shape"):
         pgccd.resolve(scene, trajectory, [True])

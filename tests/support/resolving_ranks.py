@@ -34,7 +34,7 @@ def columns_of(resolved: Any, bodies_of: Callable[[Tensor], Tensor] = lambda ids
     columns["stopped_by"] = torch.where(by < 0, by, bodies_of(by))
     columns |= {name: bodies_of(getattr(resolved, name)) for name in ("touching_at_start", "unresolved")}
     if isinstance(resolved, pgccd.TrajectoryResolution):
-        poses = {"position": resolved.motion.position, "orientation": resolved.motion.orientation}
+        poses = {name: getattr(resolved.motion, name) for name in ("position", "orientation", "rotation")}
         columns |= {f"motion.{name}": pose.transpose(0, 1) for name, pose in poses.items() if pose is not None}
     else:
         columns |= {f"motion.{name}": column for name, column in resolved.motion.columns().items()}

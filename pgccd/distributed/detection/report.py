@@ -15,6 +15,8 @@ from pgccd.distributed.comm.exchange import Columns, first_row, make_route, take
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.detection.share import Share
 
+# What `sum_per_body` adds.
+_SUMMED = (torch.float64, torch.float32, torch.float16, torch.bfloat16)
 # Prefix of payload among the columns of contacts that are sent.
 _PAYLOAD = "payload."
 
@@ -138,14 +140,14 @@ def sum_per_body(id: Tensor, hits: Contacts | CollidingPairs, values: Tensor) ->
     Args:
         id: (N,) int64 global ids, ascending.
         hits: with `pairs` in global ids.
-        values: (K, 2, ...) floating-point numbers: of i and of j.
+        values: (K, 2, ...) floating-point numbers of 16 bits or more: of i and of j.
 
     Raises:
         TypeError, ValueError: naming the argument.
     """
     if not isinstance(hits, (Contacts, CollidingPairs)):
         raise TypeError(f"hits: expected pgccd.Contacts, got {arguments.describe(hits)}")
-    if not isinstance(values, Tensor) or not values.is_floating_point():
+    if not isinstance(values, Tensor) or values.layout != torch.strided or values.dtype not in _SUMMED:
         raise TypeError(f"values: expected a tensor of floating-point numbers, got {arguments.describe(values)}")
     if values.shape[:2] != (len(hits), 2) or values.device != id.device:
         expected = f"({len(hits)}, 2, ...) on {id.device}"

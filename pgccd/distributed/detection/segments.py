@@ -14,7 +14,7 @@ from pgccd.distributed.comm.exchange import Columns
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.detection.report import earliest_for_all, tell_owners
 from pgccd.distributed.detection.share import Share
-from pgccd.motion.trajectory import Trajectory
+from pgccd.distributed.guard import of_all_ranks
 
 _MOST_WORLDS, _MOST_IDS = 2**31, 2**62
 
@@ -28,25 +28,24 @@ class Segments:
     worlds: int  #: worlds per segment
 
     @classmethod
-    def agreed(cls, comm: Comm, motion: Trajectory, own: Columns) -> Segments:
-        """Agrees with the other ranks on the numbering, given this rank's bodies and their motion.
+    def agreed(cls, comm: Comm, count: int, own: Columns) -> Segments:
+        """Agrees with the other ranks on the numbering.
+
+        Args:
+            comm: between the ranks.
+            count: number of segments, the same on all ranks.
+            own: columns of this rank's bodies.
 
         Raises:
-            ValueError: ranks have different numbers of segments, some of them margins and others none, or there are too
-                many; on all ranks.
+            ValueError: there are too many; on all ranks.
         """
-        count = motion.segment_count
         world = own.get("world", own["id"][:0])
         most = [int(column.max()) if len(column) else 0 for column in (own["id"], world)]
-        of_ranks = comm.all_gather(torch.tensor([count, int(motion.margin is not None), *most]))
-        if bool((of_ranks[:, 0] != of_ranks[0, 0]).any()):
-            raise ValueError(f"motion: ranks have {sorted(set(of_ranks[:, 0].tolist()))} segments")
-        if bool((of_ranks[:, 1] != of_ranks[0, 1]).any()):
-            raise ValueError("margin: expected a margin of the trajectory on all ranks or on none")
-        ids, worlds = (1 + largest for largest in of_ranks[:, 2:].amax(dim=0).tolist())
+        of_ranks = comm.all_gather(torch.tensor(most))
+        ids, worlds = (1 + largest for largest in of_ranks.amax(dim=0).tolist())
         if count * ids >= _MOST_IDS or count * worlds >= _MOST_WORLDS:
             limits = f"ids up to {ids - 1} and worlds up to {worlds - 1}"
-            raise ValueError(f"motion: {count} segments are too many for {limits}")
+            raise of_all_ranks(ValueError(f"motion: {count} segments are too many for {limits}"))
         return cls(count, ids, worlds)
 
     def repeat(self, own: Columns) -> Columns:

@@ -51,20 +51,37 @@ def columns_to_send(id: Tensor, bodies: MovingBodies) -> Columns:
     return columns
 
 
-def require_rows(motion: RigidMotion | VertexMotion | Trajectory, meshes: MeshSet, mesh_index: Tensor) -> None:
-    """Raises ValueError unless the motion has as many rows as there are bodies of these meshes (N,), or vertices of
-    these.
+def motion_facts(motion: Any, path: str, meshes: MeshSet, mesh_index: Tensor) -> dict[str, Any]:
+    """What must be equal on all ranks about the motion of bodies of these meshes (N,).
+
+    Args:
+        path: of the world.
+
+    Raises:
+        TypeError, ValueError: it is no motion, or that of other bodies or vertices, or along another path.
     """
-    deforms = isinstance(motion, VertexMotion) or (isinstance(motion, Trajectory) and motion.orientation is None)
+    if not isinstance(motion, (RigidMotion, VertexMotion, Trajectory)):
+        kinds = "a pgccd.RigidMotion, VertexMotion or Trajectory"
+        raise TypeError(f"motion: expected {kinds}, got {arguments.describe(motion)}")
+    facts: dict[str, Any] = {"motion": type(motion).__name__}
+    deforms = isinstance(motion, VertexMotion)
+    if isinstance(motion, Trajectory):
+        deforms, given = motion.orientation is None, motion.position.shape[1]
+        facts |= {"motion.segment_count": motion.segment_count}
+        for name in ("orientation", "margin"):
+            facts[f"motion.{name}"] = "not given" if getattr(motion, name) is None else "given"
+    else:
+        given = motion.body_count if isinstance(motion, RigidMotion) else len(motion.x_t0)
     what, expected = "bodies", len(mesh_index)
     if deforms:
         what, expected = "vertices", int(vertex_counts(meshes, mesh_index).sum())
-    if isinstance(motion, Trajectory):
-        given = motion.position.shape[1]
-    else:
-        given = motion.body_count if isinstance(motion, RigidMotion) else len(motion.x_t0)
     if given != expected:
         raise ValueError(f"motion: has {given} {what}, this rank owns {expected}")
+    if not isinstance(motion, VertexMotion) and not deforms and motion.path != path:
+        raise ValueError(f"motion: its path is {motion.path!r}, the world's {path!r}")
+    if isinstance(motion, Trajectory):
+        motion._margins(None, len(mesh_index))  # checks their number
+    return facts
 
 
 #: Of int64.

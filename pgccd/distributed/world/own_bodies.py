@@ -81,7 +81,7 @@ class OwnBodies:
 
         Args:
             hits: as returned by `step`.
-            values: (K, 2, ...) floating-point numbers: what each contact adds to i, and to j.
+            values: (K, 2, ...) floating-point numbers of 16 bits or more: what each contact adds to i, and to j.
 
         Returns:
             (N, ...): 0 for bodies without a contact.

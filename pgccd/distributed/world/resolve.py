@@ -11,9 +11,8 @@ suffices for arcs, which are shortened to a part of themselves; vertices on line
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any, Generic, cast
+from typing import Generic, cast
 
 import torch
 from torch import Tensor
@@ -22,22 +21,18 @@ from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.contacts import Contacts
 from pgccd.detection.passes import search_seconds
 from pgccd.distributed.comm.exchange import Columns
-from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.detection.options import PassEstimates, SearchOptions
 from pgccd.distributed.detection.report import columns_for_owners, rows_of_own, tell_owners
 from pgccd.distributed.detection.share import Share, search_share
 from pgccd.distributed.halo.vertices import Vertices, vertex_counts
-from pgccd.distributed.launch.agreement import require_agreement
 from pgccd.distributed.partition.decomposition import Decomposition
-from pgccd.distributed.world.columns import columns_to_send, require_rows
+from pgccd.distributed.world.columns import columns_to_send
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
-from pgccd.motion.trajectory import Trajectory
 from pgccd.resolution.results import M, Resolution
 from pgccd.resolution.search import at_rest, shortened
 from pgccd.resolution.slowing import SlowedBodies
 from pgccd.resolution.stoppers import Stoppers
-from pgccd.resolution.trajectories import TrajectoryResolution, resolve_segments
 from pgccd.runtime.stages import StageClock
 
 
@@ -174,14 +169,3 @@ class ResolvedStep(Generic[M]):
         )
         self.clock.add(search_seconds(share.contacts.stats))
         return share
-
-
-def resolve_all(
-    comm: Comm, scene: Scene, motion: Any, step: Callable[[Any], WorldResolution[Any]]
-) -> WorldResolution[Any] | TrajectoryResolution:
-    """Resolves a motion by `step`, or all segments of a trajectory one by one; the same number of them on all ranks."""
-    if not isinstance(motion, Trajectory):
-        return step(motion)
-    require_agreement(comm, {"motion.segment_count": motion.segment_count})
-    require_rows(motion, scene.meshes, scene.mesh_index)
-    return resolve_segments(scene, motion, step)

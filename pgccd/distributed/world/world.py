@@ -37,9 +37,9 @@ from pgccd.distributed.steps.rank import Rank
 from pgccd.distributed.world.checkpoint import load_state, save_state
 from pgccd.distributed.world.columns import (
     columns_to_send,
+    motion_facts,
     new_values,
     payload_asked,
-    require_rows,
     scene_columns,
     scene_of,
 )
@@ -51,7 +51,6 @@ from pgccd.distributed.world.resolve import (
     ResolvedStep,
     WorldResolution,
     options_of_resolution,
-    resolve_all,
     vertices_of,
 )
 from pgccd.distributed.world.state import WorldState, agreed_partition, require_alike, state_given
@@ -61,7 +60,7 @@ from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import PathKind, RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
 from pgccd.resolution.results import M
-from pgccd.resolution.trajectories import TrajectoryResolution
+from pgccd.resolution.trajectories import TrajectoryResolution, resolve_segments
 from pgccd.runtime.stages import StageClock
 
 #: Names of payload.
@@ -405,9 +404,9 @@ class World(OwnBodies, Generic[R]):
             trajectory a `pgccd.TrajectoryResolution`, of this rank's own bodies and in global ids.
 
         Raises:
-            TypeError: the motion is of another type, or `payload` no names.
+            TypeError: the motion is of another type, or `payload` no names; on all ranks.
             ValueError: the motion has a wrong number of bodies, vertices or segments, or another path; or bodies have
-                no such payload; ranks ask for different ones, on all ranks.
+                no such payload; ranks ask for different ones; on all ranks. A pose is invalid: on this rank.
 
         Example:
             >>> hits = world.step(motion, payload=("velocity",))
@@ -418,22 +417,27 @@ class World(OwnBodies, Generic[R]):
         """
         self.comm.guard.activity = "step"
 
+        scene, fixed = self._current_scene(), None
+
         def settings() -> dict[str, Any]:
+            nonlocal fixed
             arguments.flag(resolve, "resolve")
-            if movable is not None and not resolve:
-                raise ValueError("movable: can only be given with resolve=True")
+            facts = motion_facts(motion, self.path, self._meshes, self.mesh_index)
+            if movable is not None:
+                if not resolve:
+                    raise ValueError("movable: can only be given with resolve=True")
+                fixed = bool_column(movable, "movable", scene.body_count, scene.device) == 0
             asked = payload_asked(payload, self.columns)
             if asked and resolve and isinstance(motion, Trajectory):
                 raise ValueError("payload: a trajectory that is resolved has no contacts to carry it")
-            return {"motion": type(motion).__name__, "resolve": resolve, "payload": asked}
+            return facts | {"resolve": resolve, "payload": asked}
 
         carried = {name: self.columns[name] for name in agree_on_step(self.comm, settings)["payload"]}
         if resolve:
-            return self._resolve(motion, movable, carried)
+            return self._resolve(motion, fixed, carried)
         if isinstance(motion, Trajectory):
             own = scene_columns(self.columns)
-            require_rows(motion, self._meshes, own["mesh_index"])
-            segments = Segments.agreed(self.comm, motion, own)
+            segments = Segments.agreed(self.comm, motion.segment_count, own)
             own, carried = segments.repeat(own), segments.repeat_rows(carried)
             if (margin := motion._margins(own.get("margin"), len(self.id))) is not None:
                 own["margin"] = margin
@@ -442,17 +446,17 @@ class World(OwnBodies, Generic[R]):
             options = replace(self.options, report=report)
             share = self._search(own["id"], scene_of(self._meshes, own), motion.steps(), options, carried)
             return segments.contacts_for_owners(self.comm, share, self.options.report, carried)
-        share = self._search(self.id, self._current_scene(), motion, self.options, carried)
+        share = self._search(self.id, scene, motion, self.options, carried)
         if self.options.report == "earliest":
             return earliest_for_all(self.comm, share, payload=carried)
         return tell_owners(share, carried)
 
-    def _resolve(self, motion: Any, movable: Movable, carried: Columns) -> WorldResolution[Any] | TrajectoryResolution:
-        scene, fixed, steps_made = self._current_scene(), None, self.steps_made
-        if movable is not None:
-            fixed = bool_column(movable, "movable", scene.body_count, scene.device) == 0
+    def _resolve(
+        self, motion: Any, fixed: Tensor | None, carried: Columns
+    ) -> WorldResolution[Any] | TrajectoryResolution:
+        steps_made = self.steps_made
 
-        def step(motion: RigidMotion | VertexMotion) -> WorldResolution[Any]:
+        def step(scene: Scene, motion: RigidMotion | VertexMotion) -> WorldResolution[Any]:
             clock, options = StageClock(), options_of_resolution(self.options)
             whole = self._search(self.id, scene, motion, options, carried)
             decomposition, estimates = self._rank.decomposition, self._resolution_estimates
@@ -460,19 +464,14 @@ class World(OwnBodies, Generic[R]):
             self._seconds += clock.work
             return resolved
 
-        resolved = resolve_all(self.comm, scene, motion, step)
+        scene = self._current_scene()
+        resolved = resolve_segments(scene, motion, step) if isinstance(motion, Trajectory) else step(scene, motion)
         self.steps_made = steps_made + 1
         return resolved
 
     def _search(
         self, id: Tensor, scene: Scene, motion: RigidMotion | VertexMotion, options: SearchOptions, carried: Columns
     ) -> Share:
-        if not isinstance(motion, (RigidMotion, VertexMotion)):
-            kinds = "a pgccd.RigidMotion, VertexMotion or Trajectory"
-            raise TypeError(f"motion: expected {kinds}, got {arguments.describe(motion)}")
-        require_rows(motion, self._meshes, scene.mesh_index)
-        if isinstance(motion, RigidMotion) and motion.path != self.path:
-            raise ValueError(f"motion: its path is {motion.path!r}, the world's {self.path!r}")
         clock = StageClock()
         with clock.stage("plan"):
             bodies = MovingBodies.of(scene, motion, wait=False)
