@@ -99,6 +99,8 @@ def rows(value: Any, name: str, count: int) -> Any:
         IndexError: a number is out of range (of values on a CPU; a GPU asserts).
     """
     if isinstance(value, slice):
+        if isinstance(value.step, int) and value.step < 1:
+            raise ValueError(f"{name}: expected a slice with a step >= 1, got {value.step}")
         return value
     expected = "a mask, row numbers or a slice"
     value = as_tensor(value, name)

@@ -369,6 +369,7 @@ class CountedRows(PairColumns):
                 raise TypeError(f"{name}: expected {dtype}, got {arguments.describe(column)}")
             arguments.shape(column, name, ("K" if count is None else count, *width), state["pairs"].device)
             count = len(column)
+        _check_rows(state, scene)
         arguments.entries(state["stats"], [each.name for each in fields(Stats) if each.name != "needed"])
         result = cls(**{name: state[name] for name in cls._names}, stats=Stats(**state["stats"]))
         for name in flags:
@@ -502,6 +503,20 @@ class Contacts(WithApproach, ContactColumns, CountedRows):
         changed._differentiable = None if self._differentiable is None else change(self._differentiable)
         changed._cause = self._cause
         return changed
+
+
+def _check_rows(state: dict[str, Any], scene: Scene | None) -> None:
+    """Raises ValueError unless the rows of a `state_dict` name bodies, and times in [0, 1]."""
+    most = 2**63 - 1 if scene is None else scene.body_count - 1
+    limits = {"pairs": (0, most), "toi": (0.0, 1.0), "segment": (0, 2**63 - 1), "time": (0.0, 1.0)}
+    for name, (low, high) in limits.items():
+        if name not in state:
+            continue
+        column = state[name]
+        sound = ((column >= low) & (column <= high)).reshape(len(column), -1).all(dim=1)
+        if not bool(sound.all()):
+            row = int((~sound).long().argmax())
+            raise ValueError(f"{name}: row {row}: expected numbers from {low} to {high}, got {column[row].tolist()}")
 
 
 def _flags_of(result: type[PairColumns]) -> list[str]:

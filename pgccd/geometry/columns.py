@@ -92,9 +92,12 @@ def pairs_never_tested(values: Tensor | Sequence[Sequence[int]], count: int, dev
     """Pairs of different bodies, in any order, as (E, 2) int64 on the device: i < j, sorted, each once."""
     expected = "pairs of different bodies, shape (E, 2)"
     try:
-        pairs = torch.as_tensor(values)
+        pairs = torch.as_tensor(arguments.as_tensor(values, "exclude"))
     except (TypeError, ValueError, RuntimeError, OverflowError) as error:
         raise TypeError(f"exclude: expected {expected}, got {arguments.describe(values)}: {error}") from error
+    arguments.refuse_meta(pairs, "exclude")
+    if pairs.layout != torch.strided:
+        raise TypeError(f"exclude: expected a dense tensor, got {pairs.layout}")
     if pairs.numel() == 0:
         pairs = pairs.to(torch.int64).reshape(-1, 2)
     if pairs.dtype.is_floating_point or pairs.dtype.is_complex or pairs.dtype == torch.bool:

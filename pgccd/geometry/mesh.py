@@ -325,7 +325,11 @@ class Mesh:
             raise TypeError("origin: expected a point (3 numbers) in a state_dict")
         mesh = cls.__new__(cls)
         mesh._prepare(points, triangles, *places)  # type: ignore[arg-type]
-        for name in _OF_FILE:
+        for name in ("welded_vertices", "dropped_faces"):
+            setattr(mesh, name, arguments.integer(state[name], name, 0, "a number >= 0"))
+        for name, allowed in (("name", str), ("source_vertex", Tensor), ("source_face", Tensor)):
+            if not isinstance(state[name], (allowed, type(None))):
+                raise TypeError(f"{name}: expected {allowed.__name__} or None, got {arguments.describe(state[name])}")
             setattr(mesh, name, state[name])
         return mesh
 

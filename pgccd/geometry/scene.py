@@ -382,7 +382,8 @@ class Scene:
         """
         arguments.entries(state, ("meshes", *_ENTRIES))
         given = {name: state[name] for name in _ENTRIES}
-        given["static"] = None if given["static"] is None else given["static"].bool()
+        if isinstance(given["static"], Tensor):
+            given["static"] = given["static"].bool()
         given["self_collision"] = False if given["self_collision"] is None else given["self_collision"]
         if not isinstance(state["meshes"], list):
             raise TypeError(f"meshes: expected a list of states of meshes, got {arguments.describe(state['meshes'])}")

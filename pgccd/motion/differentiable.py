@@ -114,8 +114,10 @@ def rotation_between(orientation_t0: Tensor, orientation_t1: Tensor) -> Tensor:
     square = (vector * vector).sum(-1, keepdim=True)
     is_small = square < _SMALL_SQUARE
     sine = torch.where(is_small, 1.0, square).sqrt()
+    # A half turn has the cosine 0: no term may be infinite, even one that is not chosen.
+    long = torch.where(is_small, cosine, 1.0)
     factor = torch.where(
-        is_small, (2.0 - 2.0 * square / (3.0 * cosine * cosine)) / cosine, 2.0 * torch.atan2(sine, cosine) / sine
+        is_small, (2.0 - 2.0 * square / (3.0 * long * long)) / long, 2.0 * torch.atan2(sine, cosine) / sine
     )
     return factor * vector
 

@@ -15,9 +15,10 @@ class Verdict(IntEnum):
     Attributes:
         FREE: certainly free of contact, between waypoints too.
         COLLISION: surfaces touch in a configuration of the path.
-        NEAR: a pair comes within the resolution; no configuration was found in which surfaces touch.
+        NEAR: a pair comes within the resolution (or as near as rounding can tell); no configuration was found in which
+            surfaces touch.
         START: a pair touches at the first waypoint.
-        INVALID: a configuration is not finite or larger than 1e6, or the pose of an obstacle is invalid.
+        INVALID: the value of a joint is not finite or larger than 1e6, or the pose of an obstacle is invalid.
     """
 
     FREE = 0

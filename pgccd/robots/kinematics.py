@@ -11,6 +11,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from pgccd.motion import differentiable
+from pgccd.motion.differentiable import any_differentiated, with_gradient_of
 from pgccd.motion.rotation import integrate_orientation
 
 JointKind = Literal["fixed", "revolute", "prismatic"]
@@ -76,7 +78,7 @@ class Tree:
         """Poses of all frames. Only operations that round alike on every device.
 
         Args:
-            q: (K, J) float64 configurations.
+            q: (K, J) float64 configurations; with gradients, if they require grad.
         """
         count = len(q)
         position: list[Tensor] = []
@@ -94,7 +96,7 @@ class Tree:
                 own = q[:, joint.coordinate] * joint.scale + joint.offset
                 axis = own[:, None] * rotate(turn, _constant(joint.axis, q).expand(count, 3))
                 if joint.kind == "revolute":
-                    turn = integrate_orientation(turn, axis)
+                    turn = _integrated(turn, axis)
                 else:
                     at = at + axis
             position.append(at)
@@ -139,6 +141,15 @@ class Tree:
             axis = _rotation_matrix(self.joints[k].orientation) @ axis
         own = self.joints[before].axis
         return float(np.arctan2(np.linalg.norm(np.cross(own, axis)), abs(own @ axis)))
+
+
+def _integrated(orientation: Tensor, rotation: Tensor) -> Tensor:
+    """As `integrate_orientation`, with gradients."""
+    if not any_differentiated(orientation, rotation):
+        return integrate_orientation(orientation, rotation)
+    value = integrate_orientation(orientation.detach(), rotation.detach())
+    unit = orientation / orientation.norm(dim=-1, keepdim=True)
+    return with_gradient_of(value, differentiable.product(differentiable.quaternion_of(rotation), unit), "orientation")
 
 
 def rotate(q: Tensor, v: Tensor) -> Tensor:

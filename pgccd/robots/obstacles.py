@@ -101,7 +101,8 @@ class Obstacles:
 
 
 def _poses(values: Tensor, name: str, count: int, width: int) -> Tensor:
-    arguments.real_tensor(values, name)
+    values = arguments.real_tensor(values, name)
+    arguments.refuse_gradient(values, name)
     if values.dim() not in (2, 3) or values.shape[-2:] != (count, width):
         expected = f"({count}, {width}) or (B, {count}, {width})"
         raise ValueError(f"{name}: expected shape {expected}, got {tuple(values.shape)}")

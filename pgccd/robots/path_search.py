@@ -14,7 +14,7 @@ from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion
 from pgccd.robots.certificate import Certificate, Verdict
 from pgccd.robots.obstacles import Obstacles
-from pgccd.robots.robot import Robot
+from pgccd.robots.robot import LARGEST_VALUE, Robot
 from pgccd.robots.stray import MOST_TURN, turns
 
 # Bodies in one call.
@@ -23,11 +23,11 @@ _BODIES_AT_ONCE = 400_000
 _RESOLUTION = 1e-3
 # Parts of the resolution: the tolerance of contacts; and the margins aimed at when a step is split.
 _TOLERANCE, _MARGIN = 0.125, 0.25
-# A step is split into at most so many parts, and not if it is shorter than this part of its segment.
+# A step is split into at most so many parts, and not if it is shorter than this part of its segment: then rounding
+# decides.
 _MOST_PARTS, _SHORTEST = 8, 2.0**-30
 # Configurations in which a pair that comes near is looked at.
 _WITNESSES = 16
-_LARGEST = 1e6
 
 
 def certify(
@@ -55,8 +55,8 @@ def certify(
         Certificate, on the device of q: with the first time, the links and the point. Synchronises with a GPU.
 
     Raises:
-        TypeError, ValueError: naming the argument. Numbers that are not finite are the verdict `INVALID` of their
-            environment alone.
+        TypeError, ValueError: naming the argument; also if q or the obstacles' margin requires grad. Numbers that are
+            not finite are the verdict `INVALID` of their environment alone.
 
     Example:
         >>> result = pgccd.robots.certify(robot, torch.tensor([[[0.0, 0.0], [1.0, 0.5], [2.0, 0.0]]]), obstacles)
@@ -110,6 +110,21 @@ class _Steps:
 
 
 @dataclass
+class _First:
+    """When a contact of each of B environments is known: the segment (B,), -1 for one at the start, and the time within
+    it (B,). Both are compared, since their sum is rounded.
+    """
+
+    segment: Tensor
+    toi: Tensor
+
+    def is_after(self, environment: Tensor, segment: Tensor, toi: Tensor) -> Tensor:
+        """(K,) bool: whether it is after these times, of environments (K,)."""
+        own, at = self.segment[environment], self.toi[environment]
+        return (own > segment) | ((own == segment) & (at > toi))
+
+
+@dataclass
 class _Met:
     """The first contact of each of K steps: toi (K,) within the step, inf without one; both bodies (K, 2); the stray
     margins of both (K,), added; and the point (K, 3).
@@ -128,6 +143,8 @@ class PathSearch:
         if not isinstance(robot, Robot):
             raise TypeError(f"robot: expected a pgccd.robots.Robot, got {arguments.describe(robot)}")
         self._scene = robot.scene(obstacles)
+        if self._scene.margin is not None:
+            arguments.refuse_gradient(self._scene.margin, "margin")
         self.robot, self.obstacles = robot, obstacles
         self.resolution = (
             _RESOLUTION * robot.reach if resolution is None else arguments.length(resolution, "resolution")
@@ -140,6 +157,7 @@ class PathSearch:
         """As `pgccd.robots.certify`."""
         robot, obstacles = self.robot, self.obstacles
         q = robot._configurations(q, "q")
+        arguments.refuse_gradient(q, "q")
         if q.dim() != 3 or q.shape[1] < 2:
             raise ValueError(f"q: expected shape (B, T, {robot.joint_count}) with T >= 2, got {tuple(q.shape)}")
         given = None if obstacles is None else obstacles.environments
@@ -148,13 +166,13 @@ class PathSearch:
         self._steps = self._searches = 0
         scene = self._scene if self._scene.device == q.device else self._scene.to(q.device)
         found = Certificate._unknown(len(q), robot.link_names, q.device)
-        valid = (q.abs() <= _LARGEST).flatten(1).all(dim=1)
+        valid = (robot._magnitudes(q) <= LARGEST_VALUE).flatten(1).all(dim=1)
         if obstacles is not None:
             valid &= obstacles._is_sound(len(q)).to(q.device)
         found.verdict[~valid] = int(Verdict.INVALID)
         found.time[~valid] = found.toi[~valid] = 0.0
         steps = self._first_steps(q, valid)
-        first_time = torch.full_like(found.time, torch.inf)  # segment + toi
+        first = _First(torch.full_like(found.segment, q.shape[1]), torch.full_like(found.toi, torch.inf))
         width = 0
         while len(steps):
             now = torch.ones_like(steps.begin, dtype=torch.bool) if width == 0 else steps.rank() < width
@@ -162,9 +180,9 @@ class PathSearch:
             met = self._met(scene, q, chosen, _TOLERANCE * self.resolution)
             if width == 0:
                 at_start = (chosen.segment == 0) & (chosen.begin == 0.0) & (met.toi == 0.0)
-                first_time[self._find_starts(scene, q, chosen.environment[at_start], found)] = -1.0
-            steps = rest.followed_by(self._decide(chosen, met, found, first_time))
-            steps = steps[steps.segment + steps.begin < first_time[steps.environment]]
+                first.segment[self._find_starts(scene, q, chosen.environment[at_start], found)] = -1
+            steps = rest.followed_by(self._decide(chosen, met, found, first))
+            steps = steps[first.is_after(steps.environment, steps.segment, steps.begin)]
             width = max(4, 2 * width)
         rows = torch.nonzero(found.verdict == int(Verdict.NEAR)).flatten()
         found.time[rows] = time_along(found.segment[rows], found.toi[rows], q.shape[1] - 1)
@@ -200,7 +218,7 @@ class PathSearch:
         whole = _Steps(environment, segment, torch.zeros_like(turn), torch.ones_like(turn))
         return whole.split(parts)
 
-    def _decide(self, steps: _Steps, met: _Met, found: Certificate, first_time: Tensor) -> _Steps:
+    def _decide(self, steps: _Steps, met: _Met, found: Certificate, first: _First) -> _Steps:
         """Records the contacts of steps that are decided, and returns parts of those that are neither that nor free."""
         rows = torch.nonzero(met.toi < torch.inf).flatten()
         steps, met = steps[rows], _Met(*(column[rows] for column in vars(met).values()))
@@ -210,8 +228,8 @@ class PathSearch:
         at = torch.where(met.toi > 0.0, torch.maximum(at, steps.begin), steps.begin)
         left = steps.end - at
         near = 2.0 * met.margin + _TOLERANCE * self.resolution <= self.resolution
-        near |= left <= _SHORTEST
-        self._record(steps[near], at[near], met, near, found, first_time)
+        near |= length <= _SHORTEST
+        self._record(steps[near], at[near], met, near, found, first)
         rows = torch.nonzero(~near).flatten()
         if not len(rows):
             return steps[rows]
@@ -221,20 +239,14 @@ class PathSearch:
         open_steps = steps[rows]
         return _Steps(open_steps.environment, open_steps.segment, at[rows], open_steps.end).split(parts)
 
-    def _record(
-        self, steps: _Steps, at: Tensor, met: _Met, rows: Tensor, found: Certificate, first_time: Tensor
-    ) -> None:
-        """Records the first of contacts in each environment, if none before it is known."""
-        if not len(steps):
-            return
-        time, environment = steps.segment + at, steps.environment
-        first_time.scatter_reduce_(0, environment, time, "amin")
-        is_first = time == first_time[environment]
-        row = torch.arange(len(time), device=time.device)
-        least = torch.full_like(first_time, len(time), dtype=torch.int64)
-        least.scatter_reduce_(0, environment[is_first], row[is_first], "amin")
-        chosen = least[least < len(time)]
-        b = environment[chosen]
+    def _record(self, steps: _Steps, at: Tensor, met: _Met, rows: Tensor, found: Certificate, first: _First) -> None:
+        """Records the first of contacts in each environment, if none before it is known. Steps are in order."""
+        earlier = torch.nonzero(first.is_after(steps.environment, steps.segment, at)).flatten()
+        row = torch.full_like(first.segment, len(at))
+        row.scatter_reduce_(0, steps.environment[earlier], earlier, "amin")
+        chosen = row[row < len(at)]
+        b = steps.environment[chosen]
+        first.segment[b], first.toi[b] = steps.segment[chosen], at[chosen]
         found.verdict[b] = int(Verdict.NEAR)
         found.segment[b], found.toi[b] = steps.segment[chosen], at[chosen]
         found.links[b], found.point[b] = self._links(met.bodies[rows][chosen]), met.point[rows][chosen]
@@ -285,7 +297,9 @@ class PathSearch:
             start = end = robot._tree.forward(q0)
         else:
             start, end = robot._tree.forward(torch.cat([q0, q1])).split(count)
-        stray = robot._stray(start, None if rests else end, torch.maximum(q0.abs(), q1.abs()))
+        # Configurations between waypoints are rounded in units of the waypoints, even near zero.
+        way = (q[steps.environment, steps.segment + k].abs() for k in (0, 1))
+        stray = robot._stray(start, None if rests else end, torch.maximum(*way))
         stray = torch.cat([stray, stray.new_zeros(count, bodies - robot.body_count)], dim=1).reshape(-1)
         poses = []
         for of_frames in (start, end):

@@ -26,6 +26,8 @@ from pgccd.robots.stray import MOST_TURN, pose_error, stray_bound, turns
 if TYPE_CHECKING:
     from pgccd.robots.certificate import Certificate
 
+#: Larger values of joints, radians or length units, have no poses.
+LARGEST_VALUE = 1e6
 # Configurations tested in one call.
 _SAMPLES_AT_ONCE = 2000
 
@@ -218,7 +220,9 @@ class Robot:
             q: (..., J) configurations, radians or length units, float32 or float64.
 
         Returns:
-            Positions (..., N, 3) and orientations (..., N, 4), unit quaternions (w, x, y, z), body to world.
+            Positions (..., N, 3) and orientations (..., N, 4), unit quaternions (w, x, y, z), body to world; nan where
+            the value of a joint is not finite or larger than 1e6. If q requires grad, then so do they; a
+            `pgccd.Trajectory` of them has contacts with gradients.
 
         Raises:
             TypeError, ValueError: q has another type or shape.
@@ -238,10 +242,18 @@ class Robot:
         return x, r
 
     def _configurations(self, q: Tensor, name: str) -> Tensor:
-        arguments.real_tensor(q, name)
+        q = arguments.real_tensor(q, name)
         if q.dim() < 1 or q.shape[-1] != self.joint_count:
             raise ValueError(f"{name}: expected shape (..., {self.joint_count}), got {tuple(q.shape)}")
-        return q.detach().to(torch.float64).contiguous()
+        return (q if arguments.is_differentiated(q) else q.detach()).to(torch.float64).contiguous()
+
+    def _magnitudes(self, q: Tensor) -> Tensor:
+        """(..., n): of the entries of configurations (..., J) and of what joints make of them; nan if not finite."""
+        columns = [q.abs()]
+        for joint in self._tree.joints:
+            if joint.kind != "fixed":
+                columns.append(q[..., joint.coordinate, None].abs() * abs(joint.scale) + abs(joint.offset))
+        return torch.cat(columns, dim=-1)
 
     def scene(self, obstacles: Obstacles | None = None) -> Scene:
         """The robot's bodies, then those of the obstacles, which do not move. Bodies that do not move are not tested
@@ -280,8 +292,8 @@ class Robot:
             obstacles: as for `scene`; the same in all environments.
 
         Raises:
-            TypeError, ValueError: q has another type or shape; or links turn by more than a radian between two
-                waypoints, the turns of all joints added.
+            TypeError, ValueError: q has another type or shape or requires grad, or a joint has a value larger than 1e6;
+                or links turn by more than a radian between two waypoints, the turns of all joints added.
 
         Example:
             >>> path = robot.trajectory(torch.linspace(0, 1, 20)[:, None].expand(20, robot.joint_count))
@@ -289,6 +301,12 @@ class Robot:
         q = self._configurations(q, "q")
         if q.dim() != 2 or len(q) < 2:
             raise ValueError(f"q: expected shape (T, {self.joint_count}) with T >= 2, got {tuple(q.shape)}")
+        arguments.refuse_gradient(q, "q")
+        largest = self._magnitudes(q).amax(dim=-1)
+        if not bool((largest <= LARGEST_VALUE).all()):
+            waypoint = int((~(largest <= LARGEST_VALUE)).long().argmax())
+            expected = f"joint values of at most {LARGEST_VALUE:g}"
+            raise ValueError(f"q: waypoint {waypoint}: expected {expected}, got {q[waypoint].tolist()}")
         turn = turns(self._tree, self._frames, q[1:] - q[:-1])
         if not bool((turn <= MOST_TURN).all()):
             segment = int((~(turn <= MOST_TURN)).long().argmax())

@@ -11,7 +11,7 @@ from pgccd.robots.kinematics import Poses, Tree
 
 #: The bound holds for links that turn by at most so many radians in a step, the turns of all joints added.
 MOST_TURN = 1.0
-# Of pi / 2 / sin(pi / 2) and so on: see the proof.
+# Of the rate and the angle, in units of the change of the rate: see the proof.
 _RATE = 0.7625
 _ANGLE = 0.25625
 # Rounding of the sums and products of a bound.

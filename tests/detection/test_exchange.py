@@ -112,6 +112,30 @@ def test_wrong_states_are_named() -> None:
         pgccd.Contacts.from_state_dict(hits.state_dict() | {"toi": hits.toi.float()})
     with pytest.raises(ValueError, match="^point: expected shape"):
         pgccd.Contacts.from_state_dict(hits.state_dict() | {"point": hits.point[:, :2]})
+    # Else they would read as free.
+    for name, values, problem in [
+        ("pairs", hits.pairs - 100, "row 0: expected numbers from 0 to 7"),
+        ("pairs", hits.pairs + 8, "row 0: expected numbers from 0 to 7"),
+        ("toi", hits.toi + torch.inf, "row 0: expected numbers from 0.0 to 1.0, got inf"),
+        ("toi", hits.toi * torch.nan, "row 0: expected numbers from 0.0 to 1.0, got nan"),
+    ]:
+        with pytest.raises(ValueError, match=f"^{name}: {problem}"):
+            pgccd.Contacts.from_state_dict(hits.state_dict() | {name: values}, scene)
+    assert pgccd.Contacts.from_state_dict(hits.state_dict() | {"pairs": hits.pairs + 8}).pairs.max() >= 8
+    with pytest.raises(TypeError, match="^static: expected bool"):
+        pgccd.Scene.from_state_dict(state | {"static": [0, 1] * 4})
+    mesh = state["meshes"][0]
+    for name, value in [("name", 3), ("welded_vertices", None), ("dropped_faces", "x"), ("source_face", [1, 2])]:
+        with pytest.raises(TypeError, match=f"^{name}: expected"):
+            pgccd.Mesh.from_state_dict(mesh | {name: value})
+
+
+def test_excluded_pairs_that_are_no_dense_values() -> None:
+    mesh = [pgccd.Mesh.box([1.0, 1.0, 1.0])]
+    pairs = torch.tensor([[0, 1]])
+    for given in (pairs.to_sparse(), pairs.to("meta")):
+        with pytest.raises(TypeError, match="^exclude: expected"):
+            pgccd.Scene(mesh, [0, 0], exclude=given)
 
 
 def test_scenes_of_some_bodies(device: torch.device) -> None:
@@ -127,6 +151,8 @@ def test_scenes_of_some_bodies(device: torch.device) -> None:
     assert scene[8:12].exclude.tolist() == [[0, 1]]  # type: ignore[union-attr]
     with pytest.raises(IndexError, match="^rows: expected numbers of 24 rows"):
         scene[[24]]
+    with pytest.raises(ValueError, match="^rows: expected a slice with a step >= 1, got -1"):
+        scene[::-1]
     with pytest.raises(ValueError, match="^rows: expected each body at most once"):
         scene[[3, 3]]
 
@@ -210,7 +236,7 @@ def test_arrays_are_shared(kind: Any, device: torch.device) -> None:
         mask=kind(scene.mask),
         static=scene.static.bool() if scene.static is not None else None,
         self_collision=scene.self_collision,  # type: ignore[arg-type]
-        exclude=scene.exclude,
+        exclude=kind(scene.exclude),
     )
     assert there.margin.data_ptr() == scene.margin.data_ptr()  # type: ignore[union-attr]
     assert_same(pgccd.detect(there, shared, "all"), expected)

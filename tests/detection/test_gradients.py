@@ -83,6 +83,21 @@ def test_gradients_pass_through_motions(device: torch.device) -> None:
     assert torch.autograd.gradcheck(by_velocities, inputs, eps=1e-5, atol=1e-6)
 
 
+def test_gradients_at_half_a_turn(device: torch.device) -> None:
+    """Between orientations exactly half a turn apart the derivative is that of the direction taken."""
+    end = torch.tensor([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.6, 0.8]], dtype=torch.float64)
+
+    def rotation(q: Tensor) -> Tensor:
+        return pgccd.RigidMotion(START.to(device), UPRIGHT.to(device), END.to(device), q).rotation
+
+    q = wanting(end.to(device))
+    along = torch.tensor([[0.0, 0.3, 0.2, -0.1], [1.0, 0.2, 0.8, -0.6]], dtype=torch.float64, device=device)
+    after, at = (rotation(torch.nn.functional.normalize(q.detach() + h * along, dim=1)) for h in (1e-7, 0.0))
+    for k in range(3):
+        (gradient,) = torch.autograd.grad(rotation(q)[:, k].sum(), q)
+        assert torch.allclose((gradient * along).sum(1), (after - at)[:, k] / 1e-7, atol=1e-5)
+
+
 def test_gradients_pass_through_trajectories(device: torch.device) -> None:
     """Waypoints, rotations of segments, and margins of segments beside those of bodies."""
     x = torch.stack([START - 0.1 * (END - START), START, END]).to(device)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -202,6 +203,78 @@ def test_a_validator_of_motions(tmp_path: Path) -> None:
     assert is_valid([float("nan")] * 4, [0.0] * 4) is False
     with pytest.raises(ValueError, match=r"^goal: expected shape \(4,\)"):
         is_valid([0.0] * 4, [0.0] * 3)
+
+
+def test_near_only_within_the_resolution(tmp_path: Path) -> None:
+    """A wall that the margins of a long step reach at its very end, where they are 0.1, is not near."""
+    robot, _, _ = apex(tmp_path, 0.0)
+    q = torch.tensor([[[-0.45, 0.0], [0.45, 0.0]]], dtype=torch.float64)
+    margin = robot.trajectory(q[0]).margin
+    assert margin is not None and float(margin[0, 0]) > 0.1
+    wall = pgccd.Mesh.box([4.0, 0.2, 4.0])
+    for part in (-0.4, 0.0, 0.4, 0.8):
+        y = np.sin(0.45) + 0.2 + float(margin[0, 0]) + part * path_search._TOLERANCE * 1e-3
+        obstacles = Obstacles([wall], torch.tensor([[0.0, y, 0.0]], dtype=torch.float64))
+        assert bool(robot.certify(q, obstacles, resolution=1e-3).free[0]), part
+
+
+def test_rounding_between_far_waypoints(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Configurations near zero on the way between large ones are as inexact as these: margins are made for that."""
+    robot = loaded(Arm([Part("prismatic", UPRIGHT, UPRIGHT, (1, 0, 0), radius=0.1)]), tmp_path)
+    q = torch.tensor([[[-987654.3210123], [987645.678912]]], dtype=torch.float64)
+    begin = 0.5 + torch.linspace(-1e-5, 1e-5, 101, dtype=torch.float64)
+    zero = torch.zeros(100, dtype=torch.int64)
+    search, seen, stray = path_search.PathSearch(robot, None, 1e-3), [], Robot._stray
+    monkeypatch.setattr(Robot, "_stray", lambda *args: seen.append(args[-1]) or stray(*args))  # type: ignore[func-returns-value]
+    search._met(search._scene, q, path_search._Steps(zero, zero, begin[:-1], begin[1:]), 0.0)
+    first, last = (Fraction(x) for x in q.flatten().tolist())
+    found = path_search._between(q, zero, zero, begin[:-1]).flatten()
+    for s, value, most in zip(begin.tolist(), found.tolist(), seen[0].flatten().tolist(), strict=False):
+        assert abs(float(first + Fraction(s) * (last - first) - Fraction(value))) <= 5.0 * 2.0**-53 * most
+
+
+def test_a_time_is_exact_in_late_segments() -> None:
+    """Segment and time within it are compared, not their sum, which is rounded."""
+    at = torch.tensor([0.5 + 2.0**-40, 0.5, 0.0], dtype=torch.float64)
+    first = path_search._First(torch.tensor([2**40, 7, -1]), at)
+    environment, segment = torch.tensor([0, 0, 1, 1, 2]), torch.tensor([2**40, 2**40, 6, 8, 0])
+    toi = torch.tensor([0.5, 0.5 + 2.0**-40, 1.0, 0.0, 0.0], dtype=torch.float64)
+    assert first.is_after(environment, segment, toi).tolist() == [True, False, True, False, False]
+
+
+def test_values_of_joints_that_are_too_large(tmp_path: Path) -> None:
+    """Also of a joint that mimics another by a large factor: invalid in its environment alone."""
+    hinge = Part("revolute", UPRIGHT, UPRIGHT, (0, 0, 1), half=(0.1, 0.1, 0.1))
+    geared = Part("revolute", (1.0, 0, 0), UPRIGHT, (0, 0, 1), half=(0.1, 0.1, 0.1), mimic=(0, 1e5, 0.0))
+    robot = loaded(Arm([hinge, geared]), tmp_path)
+    q = torch.zeros(3, 2, 1, dtype=torch.float64)
+    q[1], q[2] = 11.0, 9.0
+    found = robot.certify(q)
+    assert found.verdict.tolist() == [Verdict.FREE, Verdict.INVALID, Verdict.FREE]
+    same(robot.certify(q[2:]), found, 2)
+    with pytest.raises(ValueError, match=r"^q: waypoint 0: expected joint values of at most 1e\+06, got \[11\.0\]"):
+        robot.trajectory(q[1])
+
+
+def test_arrays_and_gradients(tmp_path: Path) -> None:
+    """Arrays of NumPy are taken; what requires grad is refused where no gradient is computed."""
+    robot = loaded(beams(2), tmp_path)
+    q = torch.zeros(1, 2, 2, dtype=torch.float64)
+    mesh, at = pgccd.Mesh.box([1.0, 1.0, 1.0]), np.full((1, 3), 5.0)
+    same(robot.certify(q.numpy(), Obstacles([mesh], at)), robot.certify(q, Obstacles([mesh], torch.tensor(at))), 0)  # type: ignore[arg-type]
+    wanting = q.clone().requires_grad_()
+    calls = {
+        "q": [lambda: robot.certify(wanting), lambda: robot.trajectory(wanting[0])],
+        "position": [lambda: Obstacles([mesh], torch.tensor(at, requires_grad=True))],
+        "margin": [lambda: robot.certify(q, Obstacles([mesh], margin=torch.tensor(0.1, requires_grad=True)))],
+        "start": [lambda: robot.motion_validator()(wanting[0, 0], q[0, 0])],
+    }
+    for name, each in calls.items():
+        for call in each:
+            with pytest.raises(ValueError, match=f"^{name}: requires grad"):
+                call()
+            with torch.no_grad():
+                call()
 
 
 def test_links_meet_each_other(tmp_path: Path) -> None:

@@ -107,3 +107,30 @@ def test_what_configurations_cannot_be(tmp_path: Path) -> None:
         robot.poses(torch.zeros(2))
     with pytest.raises(TypeError, match="^q: expected float32 or float64"):
         robot.poses(torch.zeros(1, dtype=torch.int64))
+
+
+def test_gradients_of_poses(tmp_path: Path) -> None:
+    """Those of differences, through contacts of a trajectory too; the bits do not depend on them."""
+    rng = np.random.default_rng(2)
+    robot = loaded(random_arm(rng, 6), tmp_path)
+    q = torch.tensor(rng.uniform(-1.0, 1.0, (2, robot.joint_count)), requires_grad=True)
+    assert torch.autograd.gradcheck(robot.poses, (q,), eps=1e-6, atol=1e-7)
+    for found, expected in zip(robot.poses(q), robot.poses(q.detach()), strict=True):
+        assert found.requires_grad and torch.equal(found, expected) and not expected.requires_grad
+    with pytest.raises(NotImplementedError, match="^orientation: has first derivatives only"):
+        torch.autograd.grad(robot.poses(q)[1].sum(), q, create_graph=True)
+
+    robot = loaded(beams(2), tmp_path)
+    wall = pgccd.robots.Obstacles([pgccd.Mesh.box([0.2, 2.0, 2.0])], torch.tensor([[0.85, 0.0, 0.1]]))
+    scene = robot.scene(wall)
+
+    def toi(q: torch.Tensor) -> torch.Tensor:
+        x, r = robot.poses(q)
+        still = torch.tensor([[0.85, 0.0, 0.1]], dtype=torch.float64).expand(2, 1, 3)
+        upright = torch.tensor([[1.0, 0.0, 0.0, 0.0]], dtype=torch.float64).expand(2, 1, 4)
+        path = pgccd.Trajectory(torch.cat([x, still], 1), torch.cat([r, upright], 1))
+        return pgccd.detect(scene, path, tolerance=1e-12).first_toi()
+
+    q = torch.tensor([[0.9, 0.8], [0.1, 0.2]], dtype=torch.float64, requires_grad=True)
+    assert 0.0 < float(toi(q.detach())) < 1.0
+    assert torch.autograd.gradcheck(toi, (q,), eps=1e-6, atol=1e-6)
