@@ -97,7 +97,7 @@ if rank == 0 and len(sys.argv) > 2:
 if distributed.find_placement().launcher == "none" and name == "cpu":
     with tempfile.TemporaryDirectory() as folder:
         program = [sys.argv[0], "cpu", f"{folder}/owners.npy"]
-        command = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node", "4", *program]
+        command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "4", *program]
         one_thread = os.environ | {"OMP_NUM_THREADS": "1"}
         done = subprocess.run(command, env=one_thread, stdout=subprocess.PIPE, text=True, check=True)
         owner_of_four = np.load(f"{folder}/owners.npy")

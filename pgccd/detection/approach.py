@@ -88,7 +88,8 @@ class Cause:
         rate = -(contacts.normal * (speed[:, 1] - speed[:, 0])).sum(1)
         with torch.no_grad():
             sites = Sites.of(contacts, self.scene._detached(), self.motion._detached(), bodies)
-            is_reversed = sites.is_reversed(contacts.normal.detach()) & (contacts.kind <= Kind.EE)
+            is_reversed = sites.is_reversed(contacts.normal.detach().cpu()).to(rate.device)
+            is_reversed = is_reversed & (contacts.kind <= Kind.EE)
         return torch.where(is_reversed, -rate, rate)
 
     def recedes(self, contacts: Contacts, bodies: Tensor, slack: float | None) -> Tensor:
@@ -99,7 +100,8 @@ class Cause:
         with torch.no_grad():
             scene, motion = self.scene._detached(), self.motion._detached()
             sites = Sites.of(contacts, scene, motion, bodies)
-            return _recedes(sites, contacts.normal.detach(), contacts.status, self._slack(scene, bodies, slack))
+            columns = (contacts.normal.detach(), contacts.status, self._slack(scene, bodies, slack))
+            return _recedes(sites, *(column.cpu() for column in columns)).to(bodies.device)
 
     def _slack(self, scene: Scene, bodies: Tensor, slack: float | None) -> Tensor:
         """(K,)"""

@@ -272,7 +272,8 @@ def detect(
     if differentiated:
         add_gradients(found, *given, min_separation)
     elif normals == "surface":
-        found.normal = surface_normals(Sites.of(found, scene, motion, found.pairs), found.normal)
+        sites = Sites.of(found, scene, motion, found.pairs)
+        found.normal = surface_normals(sites, found.normal.cpu()).to(scene.device)
     options = {"tolerance": tolerance, "nonzero_toi": nonzero_toi, "initial": initial, "normals": normals}
     again = partial(_approaching, *given, min_separation=min_separation, memory_budget=memory_budget, **options)
     found._cause = Cause(*given, tolerance, report == "first", again, versions_of(motion))

@@ -93,9 +93,13 @@ class Sites:
 
     @classmethod
     def of(cls, contacts: Contacts, scene: Scene, motion: RigidMotion | VertexMotion, bodies: Tensor) -> Sites:
-        """Of contacts of bodies (K, 2)."""
+        """Of contacts of bodies (K, 2), on the CPU: on a GPU decisions near rounding could be others. Synchronises with
+        a GPU, and copies the scene and the motion from there.
+        """
+        if scene.device.type != "cpu":
+            scene, motion = scene.to("cpu"), motion.to("cpu")
         columns = (contacts.kind, contacts.features, contacts.coordinates, contacts.toi, contacts.point)
-        return cls(scene, motion, bodies, *(column.detach() for column in columns))
+        return cls(scene, motion, bodies.cpu(), *(column.detach().cpu() for column in columns))
 
     def __getitem__(self, rows: Tensor) -> Sites:
         """Some of the contacts: a mask (K,) or row numbers."""

@@ -6,6 +6,8 @@ from mutants_of.mutant import Mutant
 
 STRAY = "pgccd/robots/stray.py"
 ON_STRAY = ("robots/test_stray.py",)
+SEARCH = "pgccd/robots/path_search.py"
+ON_SEARCH = ("robots/test_certify.py",)
 NOT_ATTAINED = "a term of higher order in the turn, of which no chain is known that attains it"
 
 MUTANTS = [
@@ -53,6 +55,23 @@ MUTANTS = [
         "_POSE_ERROR = 2.0**-46",
         "_POSE_ERROR = 0.0",
         ON_STRAY,
+        switched=False,
+    ),
+    Mutant(
+        "arm-rounding-between-waypoints",
+        SEARCH,
+        "torch.maximum(*way)",
+        "torch.maximum(q0.abs(), q1.abs())",
+        ON_SEARCH,
+        switched=False,
+    ),
+    Mutant("arm-near-at-an-end", SEARCH, "length <= _SHORTEST", "left <= _SHORTEST", ON_SEARCH, switched=False),
+    Mutant(
+        "arm-sum-of-times",
+        SEARCH,
+        "(own > segment) | ((own == segment) & (at > toi))",
+        "own + at > segment + toi",
+        ON_SEARCH,
         switched=False,
     ),
 ]
