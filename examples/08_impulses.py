@@ -145,7 +145,8 @@ if rank == 0:
     print(f"{ranks} ranks, {count} bodies: positions and velocities {digest}")
 
 if distributed.find_placement().launcher == "none" and name == "cpu":
-    command = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node", "4", sys.argv[0], "cpu", str(count)]
+    launch = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "4"]
+    command = [*launch, sys.argv[0], "cpu", str(count)]
     done = subprocess.run(
         command, env=os.environ | {"OMP_NUM_THREADS": "1"}, capture_output=True, text=True, check=True
     )
