@@ -49,7 +49,7 @@ autodoc_typehints_format = "short"
 autodoc_member_order = "bysource"
 autodoc_default_options = {
     "members": True,
-    "inherited-members": "object, BaseException, Exception, ValueError, RuntimeError",
+    "inherited-members": "object, int, BaseException, Exception, ValueError, RuntimeError",
 }
 autodoc_class_signature = "mixed"
 python_display_short_literal_types = True
