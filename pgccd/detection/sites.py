@@ -97,7 +97,9 @@ class Sites:
         a GPU, and copies the scene and the motion from there.
         """
         if scene.device.type != "cpu":
+            meshes = scene.meshes._on_cpu
             scene, motion = scene.to("cpu"), motion.to("cpu")
+            scene.meshes = meshes
         columns = (contacts.kind, contacts.features, contacts.coordinates, contacts.toi, contacts.point)
         return cls(scene, motion, bodies.cpu(), *(column.detach().cpu() for column in columns))
 

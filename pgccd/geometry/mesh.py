@@ -407,6 +407,11 @@ class MeshSet:
         vertices, faces, edges = (tensor.cpu() for tensor in self.tensors[:3])
         return Incidence.of(vertices, faces, edges, self.offsets).to(self.device)
 
+    @cached_property
+    def _on_cpu(self) -> MeshSet:
+        """The same meshes on the CPU, with what is made of them when first asked for."""
+        return self if self.device.type == "cpu" else self.to("cpu")
+
     def __len__(self) -> int:
         return len(self.meshes)
 
