@@ -6,9 +6,21 @@ import sys
 from pathlib import Path
 
 import torch
-from distributed import test_detection, test_distributed_simulation, test_exchange, test_motions, test_pcccd
+from distributed import (
+    test_detection,
+    test_distributed_simulation,
+    test_exchange,
+    test_motions,
+    test_pcccd,
+    test_resolve,
+    test_world_payload,
+    test_world_population,
+)
 
 from pgccd.distributed import MpiComm
+from support.random_scenes import random_scene
+from support.resolving_ranks import of_rank, resolve_scenes
+from support.same_bits import difference
 
 torch.set_num_threads(1)
 comm = MpiComm()
@@ -21,5 +33,12 @@ test_motions.deform(comm, "all")
 test_motions.follow(comm, "earliest", True)
 test_pcccd.compare(comm, "on corners of many cells")
 test_distributed_simulation.follow(comm, "random", "cost", 12, True, True)
+for seed, (own, found, _) in enumerate(resolve_scenes(comm, range(8), "cpu")):
+    scene = random_scene(seed)
+    rows = scene._rows(own) if scene.kind.startswith("deforming") else None
+    said = difference(found, of_rank(test_resolve.alone(seed)[0], own, rows))
+    assert said is None, f"{scene}: {said}"
+test_world_payload.ask(comm, next(iter(test_world_payload.CROWDS)))
+test_world_population.join_and_leave(comm)
 comm.close()
 Path(sys.argv[1], f"rank-{comm.rank}").touch()
