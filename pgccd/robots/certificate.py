@@ -61,8 +61,8 @@ class Certificate:
     searches: int = 0
 
     @classmethod
-    def _unknown(cls, environments: int, link_names: list[str], device: torch.device) -> Certificate:
-        """Of paths that are free until something is found."""
+    def _without_contact(cls, environments: int, link_names: list[str], device: torch.device) -> Certificate:
+        """A result in which nothing has been found, to be filled by the search before it is returned."""
 
         def filled(value: float, *shape: int, dtype: torch.dtype = torch.float64) -> Tensor:
             return torch.full((environments, *shape), value, dtype=dtype, device=device)

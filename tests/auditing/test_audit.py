@@ -131,7 +131,7 @@ def test_what_a_passage_is() -> None:
     # Resting contacts are runs of frames; so is one at the last frame alone.
     found = pgccd.audit(scene, heights(0.06, 0.06, 1.0, 0.06, 0.055, 0.06, 1.0, 0.06))
     assert runs_of(found.touching) == [(0, 1, 0, 1), (0, 1, 3, 5), (0, 1, 7, 7)] and not len(found.passages)
-    # Nobody moves, nobody touches.
+    # Nothing moves, nothing touches.
     found = pgccd.audit(scene, heights(1.0, 1.0))
     assert not len(found.passages) and not len(found.touching) and found.steps() == ([], [])
 

@@ -225,7 +225,7 @@ def run_captured(comm: Comm, graph: bool) -> tuple[list[list[float]], list[tuple
         options: dict[str, Any] = {"comm": comm, "balance": BalanceOptions("none"), "nonzero_toi": True}
         world = World.create(meshes().meshes, (0.0,) * 3, (BOX,) * 3, none.pop("position"), **none, **options)
         loop = CapturedWorld(world, motion, response, graph)
-        steps = loop.run(6)  # nobody is there
+        steps = loop.run(6)  # a world without bodies
         world.add(**given(0, 30))
         steps += loop.run(9)
         world.add(**given(30, 80, ("margin",)))  # more columns, and more rows than spare ones
