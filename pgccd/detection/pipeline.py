@@ -28,6 +28,7 @@ from pgccd.motion.differentiable import any_differentiated
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
 from pgccd.runtime.attempts import TooSmall, until_it_fits
+from pgccd.runtime.graph import is_capturing
 
 # A step that overflows is repeated with a larger capacity, at most once per stage that may overflow.
 _ATTEMPTS = 6
@@ -345,10 +346,14 @@ def start_search(
 def expected_capacity(
     bodies: MovingBodies, pairs: Tensor | None, estimate: CapacityEstimate, **slack: float
 ) -> BufferSizes | None:
-    """The estimated capacity; None if it needs too much memory."""
+    """The estimated capacity; None if it needs too much memory. A graph cannot be captured without one: there, too
+    little memory is an error.
+    """
     if bodies.device.type == "cpu":
         return EXACTLY
     capacity = estimate.capacity(bodies.scene, pairs, **slack)
+    if is_capturing():
+        return capacity
     return None if capacity.bytes > memory_limit(None, capacity.bytes, bodies.device) else capacity
 
 

@@ -35,6 +35,12 @@ class Graph:
 _MOST_PARTS = 8
 
 _being_captured: ContextVar[Graph | None] = ContextVar("being_captured", default=None)
+_capturing: ContextVar[bool] = ContextVar("capturing", default=False)
+
+
+def is_capturing() -> bool:
+    """Whether `capture` runs the work, for the first or the second time."""
+    return _capturing.get()
 
 
 def capture(work: Callable[[], T], device: torch.device) -> tuple[Graph, T]:
@@ -55,22 +61,29 @@ def capture(work: Callable[[], T], device: torch.device) -> tuple[Graph, T]:
     with torch.cuda.device(device):
         current, side = torch.cuda.current_stream(), torch.cuda.Stream()
         side.wait_stream(current)
-        with torch.cuda.stream(side):
-            work()
-        current.wait_stream(side)
         graph = Graph()
-        token = _being_captured.set(graph)
-        try:
+        with _set(_capturing, True):
+            with torch.cuda.stream(side):
+                work()
+            current.wait_stream(side)
             # Other threads (of a checkpoint or guard) may continue to use the device.
             with (
+                _set(_being_captured, graph),
                 _no_garbage_collection(),
                 torch.cuda.graph(graph.graph, stream=side, capture_error_mode="thread_local"),
             ):
                 found = work()
-        finally:
-            _being_captured.reset(token)
         current.wait_stream(side)
     return graph, found
+
+
+@contextmanager
+def _set(variable: ContextVar[T], value: T) -> Iterator[None]:
+    token = variable.set(value)
+    try:
+        yield
+    finally:
+        variable.reset(token)
 
 
 @contextmanager

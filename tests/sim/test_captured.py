@@ -10,6 +10,7 @@ import pytest
 import torch
 from support.graphs import graphs_on
 
+from pgccd.detection import pipeline
 from pgccd.detection.capacity import BufferSizes
 from pgccd.resolution.round_plan import RoundPlan
 from pgccd.runtime import transaction
@@ -143,6 +144,20 @@ def test_too_little_capacity(
         kinds.append(type(made))
         assert without_times(made.record) == expected[index]
     assert kinds[1] is Step and CommittedStep in kinds and len(graphs) > 1 and same(maker.state, last)
+
+
+def test_a_graph_uses_more_memory_than_eager_steps_may(
+    device: torch.device, graphs: list[StepGraph], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if device.type == "cpu":
+        pytest.skip("capacities are exact on a CPU")
+    model = Model(ModelConfig(**FAST), device=device)
+    expected, last = run_eagerly(model, 12)
+    monkeypatch.setattr(pipeline, "memory_limit", lambda budget, *_: budget or 1)
+    maker = StepMaker(model, model.start())
+    made = [maker.step(index, 11 - index) for index in range(12)]
+    assert [without_times(step.record) for step in made] == expected and same(maker.state, last)
+    assert sum(type(step) is CommittedStep for step in made) > 6
 
 
 def test_an_invalid_state(device: torch.device, graphs: list[StepGraph]) -> None:
