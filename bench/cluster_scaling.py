@@ -54,7 +54,12 @@ def main() -> None:
     with distributed.connect(arguments.device, arguments.transport) as comm:
         row = measure(comm, arguments)
         if comm.rank == 0:
-            report(row, comm.transport, arguments)
+            report(row, transport_of(comm), arguments)
+
+
+def transport_of(comm: distributed.Comm) -> str:
+    """How messages were sent."""
+    return comm.transport + (", peer memory" if comm.peer_messages is not None else "")
 
 
 def parse_arguments() -> argparse.Namespace:

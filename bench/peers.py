@@ -7,8 +7,9 @@
 Five questions: the first toi of two near bodies; which of many bodies collide in a step; which swept spheres meet (the
 broad phase); how far a deforming scene may move (line search); and the step from one frame of public simulations to the
 next (with --data, a folder that holds scenes/). Every row gives the program and its version, its kind of result, the
-parts of the question it cannot answer, and the numbers of true results missed and of false ones. Programs that are not
-installed are skipped: pip install -r bench/requirements-peers.txt.
+parts of the question it cannot answer, and the numbers of true results missed and of false ones. Surfaces that
+intersect at the start, which the others do not look for, are not looked for here (initial="assume_free"). Programs that
+are not installed are skipped: pip install -r bench/requirements-peers.txt.
 """
 
 from __future__ import annotations

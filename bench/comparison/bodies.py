@@ -86,7 +86,7 @@ class Detection:
         self._motion = self._world.model.motion(state)
 
     def find(self) -> None:
-        self._hits = pgccd.detect(self._world.scene, self._motion, self._report)
+        self._hits = pgccd.detect(self._world.scene, self._motion, self._report, initial="assume_free")
 
     def pairs(self) -> np.ndarray:
         return self._hits.pairs.cpu().numpy()

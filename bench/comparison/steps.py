@@ -55,7 +55,7 @@ def of_frames(pair: frame_pairs.FramePair, rounds: int, device: str) -> list[dic
     scene, motion = pair.scene(device), pair.motion(device)
     spent = []
     for _ in range(1 + rounds):
-        duration, hits = timing.seconds(lambda: pgccd.detect(scene, motion, "all"), device)
+        duration, hits = timing.seconds(lambda: pgccd.detect(scene, motion, "all", initial="assume_free"), device)
         spent.append(duration)
     program = Program('pgccd, report="all"', "pgccd", "toi of all touching features", device=_where(device))
     rows = [row(question, program, spent[1:], **pair.errors(hits))]
@@ -106,7 +106,7 @@ def _pgccd(scene: pgccd.Scene, distance: float, device: str) -> FindStep:
         motion = pgccd.VertexMotion(*(torch.from_numpy(vertices).to(device) for vertices in (start, end)))
 
         def find() -> float:
-            hits = pgccd.detect(scene, motion, "earliest", distance)
+            hits = pgccd.detect(scene, motion, "earliest", distance, initial="assume_free")
             return min(1.0, float(hits.toi[0])) if len(hits) else 1.0
 
         return find

@@ -73,7 +73,7 @@ def _size(row: dict[str, Any]) -> str:
 def frame_pairs(result: Result) -> Figure:
     """Every colliding feature pair of public frame pairs, by stage."""
     figure, axes = plt.subplots(figsize=(6, 3.6))
-    rows = [row for row in result["rows"] if row["report"] == "all"]
+    rows = [row for row in result["rows"] if row["report"] == "all" and row["initial"] == "report"]
     colours = {"bounds": "#cc79a7", "broad": "#e69f00", "traverse": "#0072b2", "narrow": "#009e73"}
     below = [0.0] * len(rows)
     for stage, colour in colours.items():
