@@ -5,10 +5,9 @@ from abc import ABC, abstractmethod
 from collections import deque
 from typing import Any, Generic, TypeVar
 
-import torch
 from torch import Tensor
 
-from pgccd.runtime.memory import is_out_of_memory, release_cache
+from pgccd.runtime.memory import cached_bytes, has_room, is_out_of_memory, release_cache
 from pgccd.runtime.transaction import C, Replay, TransactionGraph
 
 # A graph is captured only if at least this many steps follow.
@@ -138,24 +137,30 @@ class ReplayedSteps(ABC, Generic[M, C, G]):
         """
         if self._graph is not None:
             self._take(self._graph)
+            if renew:
+                self._graph = None
+                release_cache()  # the step may need the memory
         made = self._run_eagerly(index)
         self._note(made)
         self._must_run_eagerly = False
-        if self._graph is not None and (renew or not self._load(self._graph, index + 1)):
+        if self._graph is not None and not self._load(self._graph, index + 1):
             self._graph = None
         if self._graph is None and self._wants_graph and more >= _FEWEST_REPLAYS:
             self._graph = self._try_to_capture(index + 1)
         return made
 
     def _try_to_capture(self, index: int) -> G | None:
-        if torch.cuda.is_initialized():
-            release_cache()
+        needed = cached_bytes()  # by a step run eagerly: later ones run beside the graph
+        release_cache()
         graph, captured, why = None, False, "another rank could not capture it"
         try:
             graph = self._make_graph(index)
             graph.capture()
-            self._begin(graph, index)
-            captured = True
+            captured = has_room(needed)
+            if captured:
+                self._begin(graph, index)
+            else:
+                why = "too little memory"
         except RuntimeError as error:
             if self._are_others_waiting(graph):
                 raise

@@ -13,7 +13,7 @@ from support.graphs import graphs_on
 from pgccd.detection import pipeline
 from pgccd.detection.capacity import BufferSizes
 from pgccd.resolution.round_plan import RoundPlan
-from pgccd.runtime import transaction
+from pgccd.runtime import replayed_steps, transaction
 from pgccd.sim import Model, ModelConfig, RobotState, StepMaker, StepPlan, make_step, replay
 from pgccd.sim.captured import CommittedStep, StepGraph
 from pgccd.sim.step import Step
@@ -207,3 +207,16 @@ def test_without_a_graph(device: torch.device, graphs: list[StepGraph]) -> None:
     ):
         assert [without_times(maker.step(index, 7 - index).record) for index in range(8)] == expected
     assert len(warned) == 1 and graphs == []
+
+
+def test_no_room_for_an_eager_step_beside_the_graph(device: torch.device, graphs: list[StepGraph]) -> None:
+    model = Model(ModelConfig(**FAST), device=device)
+    expected, _ = run_eagerly(model, 8)
+    maker = StepMaker(model, model.start(), graph=True)
+    with (
+        mock.patch.object(replayed_steps, "has_room", lambda _: False),
+        pytest.warns(UserWarning, match="steps run without a CUDA graph: too little memory") as warned,
+    ):
+        made = [maker.step(index, 7 - index) for index in range(8)]
+    assert [without_times(step.record) for step in made] == expected
+    assert len(warned) == 1 and len(graphs) == 1 and not any(isinstance(step, CommittedStep) for step in made)
