@@ -19,8 +19,8 @@ The model of a step, which is one CUDA graph per rank, is the sum for the most l
 
 Single-process rows of bench/results/cluster_scaling-cuda.json determine "alone" (one line per pattern), its rows of two
 ranks "ghosts" and "many" (the same for both patterns), by least squares of relative errors. All residuals are listed.
-So are predictions for measurements to which the model is not fitted: four ranks of an earlier version, with that
-version's own fit for one and two; and the steps of bench/results/steps-cuda.json. Nothing between hosts was measured:
+So are predictions for measurements to which the model is not fitted: four ranks, and the steps of
+bench/results/steps-cuda.json. Nothing between hosts was measured:
 `--latency-us` and `--gigabytes` are assumptions. Robots have the size, the speed and the density of the standard world
 and are spread evenly; they are counted in uniform cells, whose ghosts and neighbours are about those of a bisection.
 
@@ -56,9 +56,9 @@ def main() -> None:
     path = arguments.out or results.FOLDER / "cluster_model-cpu.json"
     known = json.loads(path.read_text())["rows"] if path.exists() else []
     scaling = json.loads((results.FOLDER / "cluster_scaling-cuda.json").read_text())
-    measured, earlier = Measured(scaling["rows"]), Measured(scaling.get("earlier_rows", []))
+    measured = Measured(scaling["rows"])
     steps = json.loads((results.FOLDER / "steps-cuda.json").read_text())
-    check = measured.check + earlier.check + measured.check_steps(steps)
+    check = measured.check + measured.check_steps(steps)
     rows = [] if arguments.counted else count(arguments)
     new = [(row["ranks"], row["robots"]) for row in rows]
     rows += [row for row in known if (row["ranks"], row["robots"]) not in new]

@@ -210,8 +210,7 @@ def report(row: dict[str, Any], transport: str, arguments: argparse.Namespace) -
     results.table([flat(other, rows) for other in rows])
     print(f"\nmilliseconds of this run, {row['robots']:,} robots on {row['ranks']} ranks:")
     results.table(by_stage(row))
-    kept = {name: value for name, value in known.items() if name.startswith("earlier_rows")}  # from earlier versions
-    results.write("cluster_scaling", arguments.device, {"rows": rows} | kept, Path(path))
+    results.write("cluster_scaling", arguments.device, {"rows": rows}, Path(path))
 
 
 def by_stage(row: dict[str, Any]) -> list[dict[str, Any]]:

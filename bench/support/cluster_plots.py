@@ -14,26 +14,32 @@ _PARTS = {
     "detect": "#0072b2", "respond": "#d55e00", "halo": "#e69f00", "migrate": "#009e73", "balance": "#cc79a7",
     "plan": "#56b4e9", "hash": "#b0b0b0", "waiting": "#606060", "rest": "#dddddd",
 }  # fmt: skip
-_SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")
+_SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 
 
 def scaling(result: Result) -> Figure:
     """Time of a step by stage and number of ranks; and speedup over one process."""
-    figure, (left, right) = plt.subplots(1, 2, figsize=(9, 3.6), width_ratios=(2, 1))
+    figure, (left, right) = plt.subplots(1, 2, figsize=(12, 3.6), width_ratios=(3, 1))
     rows = [row for row in result["rows"] if row["pattern"] == "random" and row["overlap"] and "disturbed" not in row]
-    _stack(left, rows)
+    fastest = {(row["scaling"], row["ranks"], row["robots"]): row for row in sorted(rows, key=_median, reverse=True)}
+    _stack(left, list(fastest.values()))
     for (label, speeds), colour in zip(_series(rows), _SERIES, strict=False):
         right.plot(*zip(*speeds, strict=True), "o-", color=colour, label=label)
     most = max(row["ranks"] for row in rows)
     right.plot([1, most], [1, most], ":", color="#9a9a9a", label="ideal")
     right.set(xlabel="ranks", title="Times the speed of one process", xticks=sorted({row["ranks"] for row in rows}))
-    right.legend(frameon=False)
+    right.legend(frameon=False, fontsize=7, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return figure
 
 
+def _median(row: dict[str, Any]) -> float:
+    return float(row["ms"]["median"])
+
+
 def _stack(axes: Axes, rows: list[dict[str, Any]]) -> None:
-    rows = sorted(rows, key=lambda row: (row["scaling"], row["scaling"] == "strong" and row["robots"], row["ranks"]))
-    names = [f"{_size(row)}\non {row['ranks']}" + (f"\n{row['transport']}" if row["ranks"] > 1 else "") for row in rows]
+    order = {"strong": ("robots", "ranks"), "weak": ("ranks", "robots")}
+    rows = sorted(rows, key=lambda row: [row["scaling"], *(row[name] for name in order[row["scaling"]])])
+    names = [f"{_size(row)}\non {row['ranks']}" for row in rows]
     below = [0.0] * len(rows)
     for part, colour in _PARTS.items():
         # Overlapping work adds up to more than the whole step.
