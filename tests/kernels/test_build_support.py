@@ -42,7 +42,7 @@ def test_torch_is_never_replaced(is_reachable: bool, tmp_path: Path, monkeypatch
     monkeypatch.setattr(bootstrap, "index_is_reachable", lambda: is_reachable)
     monkeypatch.setattr(bootstrap, "install", lambda _what, *arguments: installed.extend(arguments))
     monkeypatch.setattr(bootstrap, "say", lambda _: None)
-    bootstrap.install_packages("2.13.0+cu130")
+    bootstrap.install_packages("2.13.0+cu130", bootstrap.REQUIREMENTS + bootstrap.EXTRAS)
     assert ("numpy>=1.26" in installed) == ("pytest>=8" in installed) == is_reachable
     assert not any(name.startswith("torch>") or name == "torch" for name in installed)
     if is_reachable:
@@ -63,7 +63,7 @@ def test_compiler_is_downloaded_only_where_it_is_needed(
     monkeypatch.setattr(bootstrap, "say", lambda _: None)
     monkeypatch.setattr(bootstrap, "install_torch", lambda: {"version": "2.13.0", "cuda": "13.0", "gpus": gpus})
     monkeypatch.setattr(bootstrap, "create_environment", lambda: None)
-    monkeypatch.setattr(bootstrap, "install_packages", lambda _: None)
+    monkeypatch.setattr(bootstrap, "install_packages", lambda *_: None)
     monkeypatch.setattr(bootstrap, "index_is_reachable", lambda: True)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(bootstrap, "ROOT", tmp_path)
