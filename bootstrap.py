@@ -56,6 +56,8 @@ import importlib.metadata, json, sys
 from pip._vendor.packaging.requirements import Requirement
 def is_met(text):
     requirement = Requirement(text)
+    if requirement.marker and not requirement.marker.evaluate():
+        return True  # not for this Python
     try:
         return requirement.specifier.contains(importlib.metadata.version(requirement.name), prereleases=True)
     except importlib.metadata.PackageNotFoundError:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +49,12 @@ def test_torch_is_never_replaced(is_reachable: bool, tmp_path: Path, monkeypatch
     if is_reachable:
         assert installed[installed.index("--constraint") + 1] == str(tmp_path / "constraints.txt")
         assert (tmp_path / "constraints.txt").read_text() == "torch==2.13.0+cu130\n"
+
+
+def test_what_is_for_other_pythons_is_not_missing() -> None:
+    bootstrap = load_bootstrap()
+    wanted = ["nothing-such>=1; python_version < '3.0'", "nothing-such>=1; python_version > '3.0'", "numpy>=1"]
+    assert bootstrap.ask(sys.executable, bootstrap.PRINT_UNMET, *wanted) == wanted[1:2]
 
 
 @pytest.mark.parametrize("wish", [None, "auto", "0", "1"])
