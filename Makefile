@@ -12,8 +12,8 @@ EXTENSION_INPUTS := setup.py $(wildcard build_support/*.py) $(shell find csrc)
 CPP_FILES = find csrc -name '*.h' -o -name '*.cpp' -o -name '*.cuh' -o -name '*.cu'
 # Without cached bytecode, importing torch takes twice as long in each of the many processes of ranks and tests.
 unexport PYTHONDONTWRITEBYTECODE
-# xdist may be missing without a network.
-PARALLEL = $$($(VENV_PYTHON) -c "import xdist" 2>/dev/null && echo "-n 2")
+# For two cores: many tests wait for processes. xdist may be missing without a network.
+PARALLEL = $$($(VENV_PYTHON) -c "import xdist" 2>/dev/null && echo "-n 3")
 
 # The kernels on small scenes. Excludes graphs and compilation, which need torch's memory pool; with the pool the tools
 # cannot see where tensors end.

@@ -13,6 +13,7 @@ import sys
 if sys.version_info < (3, 11):  # noqa: UP036 (said before an import fails)
     raise SystemExit(f"pgccd needs Python 3.11 or later; {sys.executable} is {sys.version.split()[0]}: set PYTHON=...")
 
+import concurrent.futures
 import functools
 import json
 import os
@@ -26,6 +27,10 @@ ROOT = Path(__file__).resolve().parent
 VENV = ROOT / ".venv"
 VENV_PYTHON = VENV / "bin" / "python"
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+# Without torch, which must fit what is there.
+REQUIREMENTS = [*PROJECT["build-system"]["requires"], *PROJECT["project"]["dependencies"]]
+REQUIREMENTS = [requirement for requirement in REQUIREMENTS if not requirement.startswith("torch>")]
+EXTRAS = [requirement for extra in PROJECT["project"]["optional-dependencies"].values() for requirement in extra]
 
 TORCH = "torch==2.13.0"  # built for CUDA 13.0, as the compiler in pyproject.toml
 OLDEST_TORCH = (2, 11)
@@ -51,6 +56,8 @@ import importlib.metadata, json, sys
 from pip._vendor.packaging.requirements import Requirement
 def is_met(text):
     requirement = Requirement(text)
+    if requirement.marker and not requirement.marker.evaluate():
+        return True  # not for this Python
     try:
         return requirement.specifier.contains(importlib.metadata.version(requirement.name), prereleases=True)
     except importlib.metadata.PackageNotFoundError:
@@ -66,12 +73,17 @@ def main() -> None:
         raise SystemExit(f"PGCCD_CUDA={setting}: expected auto, 0 or 1")
     create_environment()
     torch = install_torch()
-    install_packages(torch["version"])
+    install_packages(torch["version"], REQUIREMENTS)
     if torch["cuda"] is not None and setting != "0":
         install_cuda_compiler(torch["cuda"], has_gpu=torch["gpus"] > 0, is_forced=setting == "1")
     # compat: a path in a .pth file. Type checkers and editors cannot resolve the import hooks of the other modes.
     options = ["--no-index", "--no-build-isolation", "--no-deps", "--config-settings=editable_mode=compat"]
-    if not install("pgccd, compiled in place", *options, "--editable", "."):
+    # Other packages are downloaded while compilers run.
+    with concurrent.futures.ThreadPoolExecutor() as beside:
+        extras = beside.submit(install_packages, torch["version"], EXTRAS)
+        is_compiled = install("pgccd, compiled in place", *options, "--editable", ".")
+        extras.result()
+    if not is_compiled:
         raise SystemExit("bootstrap: pgccd could not be compiled")
 
 
@@ -104,12 +116,8 @@ def install_torch() -> dict[str, Any]:
     return torch
 
 
-def install_packages(torch_version: str) -> None:
-    """Requirements of the build, the package, and all its extras, as far as they can be had; never another torch."""
-    project = PROJECT["project"]
-    wanted = [*PROJECT["build-system"]["requires"], *project["dependencies"]]
-    wanted += [requirement for extra in project["optional-dependencies"].values() for requirement in extra]
-    wanted = [requirement for requirement in wanted if not requirement.startswith("torch>")]
+def install_packages(torch_version: str, wanted: list[str]) -> None:
+    """Those that are missing, as far as they can be had; never another torch."""
     missing = ask(VENV_PYTHON, PRINT_UNMET, *wanted)
     if missing and index_is_reachable():
         constraints = VENV / "constraints.txt"

@@ -25,7 +25,7 @@ def pytest_configure(config: pytest.Config) -> None:
     if not config.option.markexpr:
         config.option.markexpr = "not slow"
     if getattr(config.option, "dist", "no") == "load":  # with xdist
-        config.option.dist = "loadgroup"
+        config.option.dist = "worksteal"  # tests of a file run in one worker, as far as they can: they share fixtures
     # Workers share the cores.
     workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
     torch.set_num_threads(max(1, torch.get_num_threads() // workers))

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from support.capacities import ON_GPU
 from support.shapes import Bodies, approaching, bumpy, tensors, tetrahedron
 
 import pgccd
@@ -305,9 +306,8 @@ def test_far_beyond_sense_is_found_or_refused(exponent: int, path: Any) -> None:
         assert str(error).startswith(("position_t0", "motion"))
 
 
+@pytest.mark.parametrize("device", ON_GPU, indirect=True)
 def test_device_of_every_argument(device: torch.device) -> None:
-    if device.type == "cpu":
-        pytest.skip("needs a second device")
     b = bodies()
     for name in ("orientation_t0", "position_t1", "orientation_t1"):
         arguments = {k: v.to(device) for k, v in poses().items()} | {name: poses()[name]}

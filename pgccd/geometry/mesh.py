@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from functools import cached_property
 from os import PathLike
@@ -17,7 +18,6 @@ from pgccd.geometry import mesh_files, shapes
 from pgccd.geometry.boxes import elongated_box
 from pgccd.geometry.incidence import Incidence
 from pgccd.geometry.origin import Origin, checked_origin, origin_point
-from pgccd.geometry.rounding import is_float32, warn_of_rounding
 
 # Maximum number of triangles per leaf of the hierarchy: one per lane of a vector unit.
 LEAF_SIZE = 8
@@ -28,6 +28,8 @@ SMALLEST_RADIUS, LARGEST_RADIUS = 1e-30, 1e30
 _MOST_EDGES = 2**30 - 1
 # Beyond this many SBV radii vertices have no more than four significant digits.
 _FURTHEST_ORIGIN = 1e12
+# A face whose edges are at most so many units in the last place of float32 has lost its shape.
+_FEW_UNITS = 4
 
 
 # Entries of a mesh's state_dict: what it is built from, and where it comes from.
@@ -91,7 +93,7 @@ class Mesh:
         triangles = _as_array(faces, np.int64, "faces")
         _check_faces(points, triangles)
         if str(getattr(vertices, "dtype", "")).endswith("float32"):
-            warn_of_rounding(points, triangles)
+            _warn_of_rounding(points, triangles)
 
         corners = points[triangles]
         # Relative to the first corner, so that a mesh far from the origin keeps its digits.
@@ -284,8 +286,8 @@ class Mesh:
     @classmethod
     def _of_geometry(cls, geometry: mesh_files.Geometry, origin: Origin, weld: bool, source: str = "") -> Mesh:
         cleaned, source_vertex, source_face = mesh_files.clean(geometry, arguments.flag(weld, "weld"))
-        if is_float32(geometry.vertices):  # before welding, which joins vertices that have become equal
-            warn_of_rounding(geometry.vertices, geometry.faces, source, stacklevel=4)
+        if _is_float32(geometry.vertices):  # before welding, which joins vertices that have become equal
+            _warn_of_rounding(geometry.vertices, geometry.faces, source, stacklevel=4)
         mesh = cls(cleaned.vertices, cleaned.faces, origin)
         mesh.name = geometry.name
         mesh.welded_vertices = len(geometry.vertices) - len(cleaned.vertices)
@@ -455,3 +457,34 @@ def _check_faces(points: np.ndarray, faces: np.ndarray) -> None:
     if repeats.any():
         first = int(np.argmax(repeats))
         raise ValueError(f"faces: face {first} repeats a vertex: {faces[first].tolist()}")
+
+
+def _is_float32(values: np.ndarray) -> bool:
+    """Whether all values are representable in float32."""
+    with np.errstate(over="ignore"):
+        return bool((values.astype(np.float32) == values).all())
+
+
+def _warn_of_rounding(points: np.ndarray, faces: np.ndarray, source: str = "", stacklevel: int = 3) -> None:
+    """Warns of faces whose size is that of float32's rounding.
+
+    Args:
+        points: (V, 3) finite, given in float32.
+        faces: (F, 3).
+        source: where they come from, in words: the start of the message. Default: an argument.
+        stacklevel: see `warnings.warn`.
+    """
+    corners = points[faces]
+    size = np.abs(corners - np.roll(corners, 1, axis=1)).max(axis=(1, 2))
+    unit = np.spacing(np.abs(corners).max(axis=(1, 2)).astype(np.float32)).astype(np.float64)
+    is_lost = size <= _FEW_UNITS * unit
+    if is_lost.any():
+        face = int(np.argmax(is_lost))
+        warnings.warn(
+            f"{source or 'vertices'}: float32 has distorted {int(is_lost.sum())} of {len(faces)} faces: the edges of "
+            f"face {face} are at most {size[face]:.3g} long, where coordinates are multiples of {unit[face]:.3g}. "
+            + ("Export the file again" if source else "Give float64, or coordinates")
+            + " relative to a point nearby",
+            UserWarning,
+            stacklevel=stacklevel,
+        )

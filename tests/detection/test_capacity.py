@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from support.capacities import DEVICES_AND_PARTS
 from support.crowds import crowds
 from support.same_bits import assert_same
 from support.shapes import approaching, bumpy
@@ -88,10 +89,8 @@ def test_deforming_bodies_and_given_pairs(device: torch.device) -> None:
     assert int(nothing.count) == 0 and not bool(nothing.overflow) and len(nothing.trim()) == 0
 
 
-@pytest.mark.parametrize("part", [f.name for f in fields(BufferSizes) if f.type == "int" and f.name != "launches"])
+@pytest.mark.parametrize(("device", "part"), DEVICES_AND_PARTS, indirect=["device"])
 def test_too_little_capacity_is_reported(device: torch.device, part: str) -> None:
-    if device.type == "cpu" and part not in ("pairs", "contacts"):
-        pytest.skip("a CPU takes the memory it needs")
     # The launches for small bodies leave no tasks behind.
     scene, motion = shells(device) if part == "tasks" else crowd(device)
     expected, capacity = capacity_for(scene, motion, "all", broad_phase="grid")

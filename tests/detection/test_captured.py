@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 import torch
+from support.capacities import ON_GPU
 from support.crowds import crowds
 from support.same_bits import assert_same
 
@@ -114,9 +115,8 @@ def test_bad_arguments(device: torch.device) -> None:
 
 
 @pytest.mark.parametrize("t", [0, 0.25, 1.0])
+@pytest.mark.parametrize("device", ON_GPU, indirect=True)
 def test_poses_at_a_number_can_be_captured(device: torch.device, t: float) -> None:
-    if device.type == "cpu":
-        pytest.skip("needs a GPU")
     motion = crowd(device)[1][0]
     graph, found = capture(lambda: motion.at(t), device)
     graph.replay()

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from support.capacities import DEVICES_AND_PARTS
 from support.deforming import crumpled, motion_of
 from support.shapes import bumpy, tensors, unit_quaternions
 
@@ -39,10 +40,8 @@ def needs(scene: pgccd.Scene, motion: pgccd.RigidMotion, report: Any) -> Capacit
 
 
 @pytest.mark.parametrize("report", REPORTS)
-@pytest.mark.parametrize("part", [f.name for f in fields(BufferSizes) if f.type == "int" and f.name != "launches"])
+@pytest.mark.parametrize(("device", "part"), DEVICES_AND_PARTS, indirect=["device"])
 def test_capacity_grows_two_calls_later(device: torch.device, part: str, report: Any) -> None:
-    if device.type == "cpu" and part not in ("pairs", "contacts"):
-        pytest.skip("a CPU takes the memory it needs")
     scene, sparse, dense = lattice(device), at_spacing(3.0, device), at_spacing(1.9, device)
     expected, needed = pgccd.detect(scene, dense, report), needs(scene, dense, report)
     if getattr(needed, part) == 0:

@@ -215,10 +215,16 @@ class OfDevice:
         return self.values.__cuda_array_interface__
 
 
-@pytest.mark.parametrize("kind", [Foreign, OfDevice, np.asarray])
+@pytest.mark.parametrize(
+    ("kind", "device"),
+    [
+        (Foreign, "cpu"),
+        (np.asarray, "cpu"),
+        *(pytest.param(k, "cuda", marks=pytest.mark.cuda) for k in (Foreign, OfDevice)),
+    ],
+    indirect=["device"],
+)
 def test_arrays_are_shared(kind: Any, device: torch.device) -> None:
-    if (kind is OfDevice) != (device.type == "cuda") and kind is not Foreign:
-        pytest.skip("the other kind of device")
     scene, motion = scattered(12, device)
     expected = pgccd.detect(scene, motion, "all")
     columns = {name: kind(column) for name, column in motion.columns().items()}

@@ -4,23 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from support.capacities import DEVICES_AND_PARTS
 from support.crowds import crowds
 from support.deforming import crumpled, motion_of
 from support.origins import recentred
 from support.shapes import bumpy, tensors, unit_quaternions
 
 import pgccd
-from pgccd.detection.capacity import BufferSizes, Capacity
+from pgccd.detection.capacity import Capacity
 
 REPORTS = ("any", "first", "all", "earliest")
 GROUPINGS: tuple[Any, ...] = ("scene", "world", "body")
-PARTS = [f.name for f in fields(BufferSizes) if f.type == "int" and f.name != "launches"]
 NAN, INF = float("nan"), float("inf")
 WORLDS = 4
 
@@ -84,10 +84,8 @@ def unchecked() -> Iterator[None]:
 
 
 @pytest.mark.parametrize("report", REPORTS)
-@pytest.mark.parametrize("part", PARTS)
+@pytest.mark.parametrize(("device", "part"), DEVICES_AND_PARTS, indirect=["device"])
 def test_overflow(device: torch.device, part: str, report: Any) -> None:
-    if device.type == "cpu" and part not in ("pairs", "contacts"):
-        pytest.skip("a CPU takes the memory it needs")
     scene, motion = crowd(device)
     if part == "tasks":  # the launches for small bodies leave none behind
         scene, motion = shells(device)

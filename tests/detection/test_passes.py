@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 import torch
+from support.capacities import ON_GPU
 from support.crowds import crowds
 from support.same_bits import assert_same
 
@@ -111,9 +112,8 @@ def test_too_little_capacity(device: torch.device, monkeypatch: pytest.MonkeyPat
     divided.check()
 
 
+@pytest.mark.parametrize("device", ON_GPU, indirect=True)
 def test_a_pass_gets_the_capacity_that_it_needed(device: torch.device) -> None:
-    if device.type == "cpu":
-        pytest.skip("capacities are exact on a CPU")
     estimates = None
     for _ in range(2):
         divided = Divided(device, "all", True, estimates)

@@ -11,12 +11,11 @@ from support.ranks import RankPool
 World = Callable[..., list[Any]]
 
 
-@pytest.hookimpl(tryfirst=True)  # before xdist
+@pytest.hookimpl(tryfirst=True)  # before tests are selected by their marks
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Runs tests that share the rank processes in one worker of xdist."""
+    """Marks the tests on the pool of ranks."""
     for item in items:
         if "ranks" in getattr(item, "fixturenames", ()):
-            item.add_marker(pytest.mark.xdist_group("ranks"))
             item.add_marker(pytest.mark.ranks)
 
 

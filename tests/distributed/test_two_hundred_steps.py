@@ -10,7 +10,7 @@ from support.launch import finish, mpirun, over_nccl, torchrun
 
 from pgccd import sim
 
-pytestmark = [pytest.mark.slow, pytest.mark.ranks, pytest.mark.xdist_group("two hundred steps")]
+pytestmark = [pytest.mark.slow, pytest.mark.ranks]
 
 STEPS = 200
 SIMULATE = ["-m", "pgccd", "simulate", "--seed", "5", "--steps", str(STEPS), "--no-pictures"]

@@ -5,6 +5,7 @@ installed.
 from __future__ import annotations
 
 import builtins
+import runpy
 import struct
 import warnings
 from pathlib import Path
@@ -166,6 +167,7 @@ def test_every_truncation_is_refused(tmp_path: Path, suffix: str) -> None:
         assert suffix == "obj" and content[:cut].rstrip().endswith(b"\nf"), (cut, mesh)
 
 
+@pytest.mark.filterwarnings("ignore:.*found in sys.modules:RuntimeWarning")
 @pytest.mark.parametrize(
     ("name", "content", "package"),
     [
@@ -177,23 +179,21 @@ def test_every_truncation_is_refused(tmp_path: Path, suffix: str) -> None:
 def test_readers_that_are_not_installed_are_named(
     tmp_path: Path, name: str, content: bytes, package: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    pytest.importorskip("trimesh")
+    trimesh = pytest.importorskip("trimesh")
     module = {"pycollada": "collada"}.get(package, package.replace("-", "_"))
-    try:
-        __import__(module)
-    except ImportError:
-        pass
-    else:
-        if package != "charset-normalizer":  # trimesh has looked for the others when it was imported
-            pytest.skip(f"{package} is installed")
-        import_module = builtins.__import__
+    import_module = builtins.__import__
 
-        def without(wanted: str, *rest: Any) -> Any:
-            if wanted == module:
-                raise ModuleNotFoundError(f"No module named {wanted!r}")
-            return import_module(wanted, *rest)
+    def without(wanted: str, *rest: Any) -> Any:
+        if wanted == module:
+            raise ModuleNotFoundError(f"No module named {wanted!r}")
+        return import_module(wanted, *rest)
 
-        monkeypatch.setattr(builtins, "__import__", without)
+    monkeypatch.setattr(builtins, "__import__", without)
+    monkeypatch.setattr(trimesh.util, "has_module", lambda wanted: wanted != module)
+    # trimesh looks for the others when it is imported.
+    for format_of, loaders in (("threemf", "_three_loaders"), ("dae", "_collada_loaders")):
+        found = runpy.run_module(f"trimesh.exchange.{format_of}")[loaders]
+        monkeypatch.setattr(trimesh.exchange.load, "mesh_loaders", trimesh.exchange.load.mesh_loaders | found)
     path = written(tmp_path, name, content)
     with pytest.raises(ImportError, match=f"^path: .*{name} cannot be read without {package}: pip install {package}"):
         pgccd.Mesh.load(path)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -42,12 +43,18 @@ def test_torch_is_never_replaced(is_reachable: bool, tmp_path: Path, monkeypatch
     monkeypatch.setattr(bootstrap, "index_is_reachable", lambda: is_reachable)
     monkeypatch.setattr(bootstrap, "install", lambda _what, *arguments: installed.extend(arguments))
     monkeypatch.setattr(bootstrap, "say", lambda _: None)
-    bootstrap.install_packages("2.13.0+cu130")
+    bootstrap.install_packages("2.13.0+cu130", bootstrap.REQUIREMENTS + bootstrap.EXTRAS)
     assert ("numpy>=1.26" in installed) == ("pytest>=8" in installed) == is_reachable
     assert not any(name.startswith("torch>") or name == "torch" for name in installed)
     if is_reachable:
         assert installed[installed.index("--constraint") + 1] == str(tmp_path / "constraints.txt")
         assert (tmp_path / "constraints.txt").read_text() == "torch==2.13.0+cu130\n"
+
+
+def test_what_is_for_other_pythons_is_not_missing() -> None:
+    bootstrap = load_bootstrap()
+    wanted = ["nothing-such>=1; python_version < '3.0'", "nothing-such>=1; python_version > '3.0'", "numpy>=1"]
+    assert bootstrap.ask(sys.executable, bootstrap.PRINT_UNMET, *wanted) == wanted[1:2]
 
 
 @pytest.mark.parametrize("wish", [None, "auto", "0", "1"])
@@ -63,7 +70,7 @@ def test_compiler_is_downloaded_only_where_it_is_needed(
     monkeypatch.setattr(bootstrap, "say", lambda _: None)
     monkeypatch.setattr(bootstrap, "install_torch", lambda: {"version": "2.13.0", "cuda": "13.0", "gpus": gpus})
     monkeypatch.setattr(bootstrap, "create_environment", lambda: None)
-    monkeypatch.setattr(bootstrap, "install_packages", lambda _: None)
+    monkeypatch.setattr(bootstrap, "install_packages", lambda *_: None)
     monkeypatch.setattr(bootstrap, "index_is_reachable", lambda: True)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(bootstrap, "ROOT", tmp_path)

@@ -36,29 +36,36 @@ class Interval:
         """Intervals unchanged; anything else as exact doubles."""
         return x if isinstance(x, Interval) else Interval(x)
 
+    @staticmethod
+    def between(lo: np.ndarray, hi: np.ndarray) -> Interval:
+        """As Interval(lo, hi), of float64 arrays, which are not converted: oracles make very many small ones."""
+        made = object.__new__(Interval)
+        made.lo, made.hi = lo, hi
+        return made
+
     def __getitem__(self, key: Any) -> Interval:
-        return Interval(self.lo[key], self.hi[key])
+        lo = self.lo[key]
+        return Interval.between(lo, lo if self.hi is self.lo else self.hi[key])
 
     def __neg__(self) -> Interval:
-        return Interval(-self.hi, -self.lo)
+        return Interval.between(-self.hi, -self.lo)
 
     def __add__(self, other: Any) -> Interval:
         o = Interval.of(other)
-        return Interval(down(self.lo + o.lo), up(self.hi + o.hi))
+        return Interval.between(down(self.lo + o.lo), up(self.hi + o.hi))
 
     def __sub__(self, other: Any) -> Interval:
         o = Interval.of(other)
-        return Interval(down(self.lo - o.hi), up(self.hi - o.lo))
+        return Interval.between(down(self.lo - o.hi), up(self.hi - o.lo))
 
     def __mul__(self, other: Any) -> Interval:
         o = Interval.of(other)
-        products = [self.lo * o.lo, self.hi * o.hi]
-        if o.hi is not o.lo or self.hi is not self.lo:
-            products += [self.lo * o.hi, self.hi * o.lo]
-        low, high = products[0], products[0]
-        for p in products[1:]:
-            low, high = np.minimum(low, p), np.maximum(high, p)
-        return Interval(down(low), up(high))
+        first, last = self.lo * o.lo, self.hi * o.hi
+        low, high = np.minimum(first, last), np.maximum(first, last)
+        if o.hi is not o.lo and self.hi is not self.lo:
+            first, last = self.lo * o.hi, self.hi * o.lo
+            low, high = np.minimum(low, np.minimum(first, last)), np.maximum(high, np.maximum(first, last))
+        return Interval.between(down(low), up(high))
 
     __radd__ = __add__
     __rmul__ = __mul__
@@ -79,7 +86,7 @@ class Interval:
         """x^2, never below zero."""
         small = np.where((self.lo <= 0) & (self.hi >= 0), 0.0, np.minimum(np.abs(self.lo), np.abs(self.hi)))
         large = np.maximum(np.abs(self.lo), np.abs(self.hi))
-        return Interval(np.maximum(down(small * small), 0.0), up(large * large))
+        return Interval.between(np.maximum(down(small * small), 0.0), up(large * large))
 
     def sqrt(self) -> Interval:
         """Square root of intervals that are non-negative except for rounding."""
@@ -112,19 +119,24 @@ class Interval:
 
 def dot(a: Interval, b: Any) -> Interval:
     """a . b over the last axis of length 3."""
-    b = Interval.of(b)
-    return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
+    return _sum_of_three(a * b)
 
 
 def cross(a: Interval, b: Interval) -> Interval:
     """a x b over the last axis of length 3."""
-    parts = [a[..., i] * b[..., j] - a[..., j] * b[..., i] for i, j in ((1, 2), (2, 0), (0, 1))]
-    return Interval(np.stack([p.lo for p in parts], axis=-1), np.stack([p.hi for p in parts], axis=-1))
+    return a[..., _NEXT] * b[..., _AFTER] - a[..., _AFTER] * b[..., _NEXT]
 
 
 def norm(a: Interval) -> Interval:
     """|a| over the last axis of length 3."""
-    return (a[..., 0].square() + a[..., 1].square() + a[..., 2].square()).sqrt()
+    return _sum_of_three(a.square()).sqrt()
+
+
+_NEXT, _AFTER = np.array([1, 2, 0]), np.array([2, 0, 1])
+
+
+def _sum_of_three(x: Interval) -> Interval:
+    return x[..., 0] + x[..., 1] + x[..., 2]
 
 
 def sinc_cosc(x: Interval) -> tuple[Interval, Interval]:
@@ -137,18 +149,20 @@ def sinc_cosc(x: Interval) -> tuple[Interval, Interval]:
         halvings = np.maximum(np.ceil(np.log2(x.hi)), 1.0)  # at least one, and y = x / 2^halvings is at most about 1
     y = Interval(np.maximum(x.lo, 0.0), x.hi) * np.ldexp(1.0, -halvings.astype(int))
     z = y.square()
-    sinc, cos = _alternating(z, 1), _alternating(z, 0)
+    cos, sinc = _alternating(z)
     for done in range(1, int(np.max(halvings, initial=1.0))):
         more = halvings > done
         sinc, cos = sinc.replaced(more, sinc * cos), cos.replaced(more, cos.square() * 2.0 - 1.0)
     return sinc * cos, sinc.square() * 0.5
 
 
-def _alternating(z: Interval, odd: int) -> Interval:
-    # sum over j of (-z)^j / (2 j + odd)!, 0 <= z <= 4, as a Horner scheme whose innermost factor 1 - z / (...) (1 -
-    # ...) is cut after 14 terms, where the rest is between 0 and 1.
-    result = Interval(np.zeros_like(z.lo), np.ones_like(z.lo))
+def _alternating(z: Interval) -> tuple[Interval, Interval]:
+    # For odd = 0 and 1: sum over j of (-z)^j / (2 j + odd)!, 0 <= z <= 4, as a Horner scheme whose innermost factor
+    # 1 - z / (...) (1 - ...) is cut after 14 terms, where the rest is between 0 and 1.
+    odd = np.arange(2.0).reshape(2, *[1] * z.lo.ndim)
+    result = Interval(np.zeros((2, *z.lo.shape)), np.ones((2, *z.lo.shape)))
     for j in range(14, 0, -1):
-        factor = Interval(float((2 * j + odd) * (2 * j + odd - 1)))
-        result = 1.0 - (z / factor) * result
-    return result
+        factor = (2 * j + odd) * (2 * j + odd - 1)
+        ratio = Interval.between(down(z.lo / factor), up(z.hi / factor))
+        result = 1.0 - ratio * result
+    return result[0], result[1]

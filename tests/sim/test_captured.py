@@ -8,6 +8,7 @@ from unittest import mock
 
 import pytest
 import torch
+from support.capacities import ON_GPU
 from support.graphs import graphs_on
 
 from pgccd.detection import pipeline
@@ -114,11 +115,10 @@ def test_a_step_that_fails_changes_nothing(device: torch.device, graphs: list[St
 
 
 @pytest.mark.parametrize("lacking", ["round", "step"])
+@pytest.mark.parametrize("device", ON_GPU, indirect=True)
 def test_too_little_capacity(
     device: torch.device, graphs: list[StepGraph], lacking: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    if device.type == "cpu":
-        pytest.skip("capacities are exact on a CPU")
     model = Model(ModelConfig(**FAST | {"robots": 20_000}), device=device)
     expected, last = run_eagerly(model, 12)
     maker = StepMaker(model, model.start())

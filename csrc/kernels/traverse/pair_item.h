@@ -1,13 +1,27 @@
 // The bounding volume test tree (BVTT) of a body pair: splitting a node pair.
 #pragma once
 
+#include <type_traits>
+
+#include "kernels/traverse/deforming_sweep.h"
 #include "kernels/traverse/overlap_item.h"
-#include "kernels/traverse/pair_sweep.h"
+#include "kernels/traverse/rigid_sweep.h"
 
 namespace pgccd {
 
+// The local frame of a body pair.
+template <class Bodies>
+using SweepOf = std::conditional_t<std::is_same_v<Bodies, RigidBodies>, RigidSweep, DeformingSweep>;
+
 struct NodePair {
   int32_t first, second;
+};
+
+// A pair of leaves of one row of the body pairs, passed from the descent to the search of their triangles.
+struct alignas(16) LeafPair {
+  int32_t pair;
+  NodePair leaves;
+  float begin;  // the leaves certainly stay apart before it
 };
 
 // Place of a node; unsigned division takes fewer instructions.

@@ -4,7 +4,7 @@
 
 #include "core/candidate.h"
 #include "kernels/device.cuh"
-#include "kernels/traverse/leaf_pair.h"
+#include "kernels/traverse/pair_item.h"
 
 namespace pgccd {
 

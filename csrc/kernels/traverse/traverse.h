@@ -8,8 +8,7 @@
 #include "core/candidate.h"
 #include "kernels/device_context.h"
 #include "kernels/executor.h"
-#include "kernels/traverse/leaf_pair.h"
-#include "kernels/traverse/pair_sweep.h"
+#include "kernels/traverse/pair_item.h"
 
 namespace pgccd {
 
