@@ -333,6 +333,43 @@ def test_where_no_gradient_is_computed_it_is_refused() -> None:
         pgccd.integrate_orientation(wanting(UPRIGHT), TURN)
 
 
+def test_refusals_name_what_was_passed() -> None:
+    """Not the columns that are made of it."""
+    velocity = torch.zeros_like(START)
+    one = velocity[None]
+    q = torch.stack([UPRIGHT, UPRIGHT])
+    x = torch.stack([START, END])
+    world = pgccd.distributed.World.create(meshes(), (-9.0,) * 3, (9.0,) * 3, START, mesh_index=torch.arange(2))
+    motions: dict[str, Callable[[], Any]] = {
+        "orientation_t1": lambda: pgccd.RigidMotion(START, UPRIGHT, END, wanting(UPRIGHT)),
+        "linear_velocity": lambda: pgccd.RigidMotion.from_velocity(START, UPRIGHT, wanting(END), velocity, 0.1),
+        "angular_velocity": lambda: pgccd.RigidMotion.from_velocity(START, UPRIGHT, END, wanting(velocity), 0.1),
+        "rotation": lambda: pgccd.RigidMotion.from_rotation(START, UPRIGHT, END, wanting(velocity)),
+    }
+    calls: list[Callable[[Any], Any]] = [
+        lambda motion: pgccd.resolve(scene(), motion),
+        lambda motion: pgccd.enclosed(scene(), motion),
+        world.step,
+        lambda motion: world.step(motion, resolve=True),
+    ]
+    for name, make in motions.items():
+        for call in (*calls, lambda motion: pgccd.CapturedDetection(scene(), motion)):
+            with pytest.raises(ValueError, match=rf"^{name}: requires grad.*{name}\.detach\(\)"):
+                call(make())
+    trajectories: dict[str, Callable[[], Any]] = {
+        "position": lambda: pgccd.Trajectory(wanting(x), q),
+        "orientation": lambda: pgccd.Trajectory(x, wanting(q)),
+        "rotation": lambda: pgccd.Trajectory(x, q, rotation=wanting(one)),
+        "margin": lambda: pgccd.Trajectory(x, q, margin=wanting(torch.zeros(1, 2))),
+    }
+    for name, make in trajectories.items():
+        for call in (*calls, lambda motion: pgccd.audit(scene(), motion)):
+            with pytest.raises(ValueError, match=rf"^{name}: requires grad.*{name}\.detach\(\)"):
+                call(make())
+    with pytest.raises(ValueError, match="^rotation: requires grad"):
+        pgccd.Trajectory(x, UPRIGHT, rotation=wanting(one))
+
+
 def test_compiled(device: torch.device) -> None:
     """Elementary tests as one graph; `detect` breaks it."""
     start, end = (torch.randn(300, 4, 3, dtype=torch.float64, device=device) for _ in range(2))

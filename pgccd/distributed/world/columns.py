@@ -63,6 +63,7 @@ def motion_facts(motion: Any, path: str, meshes: MeshSet, mesh_index: Tensor) ->
     if not isinstance(motion, (RigidMotion, VertexMotion, Trajectory)):
         kinds = "a pgccd.RigidMotion, VertexMotion or Trajectory"
         raise TypeError(f"motion: expected {kinds}, got {arguments.describe(motion)}")
+    motion._refuse_gradient()
     facts: dict[str, Any] = {"motion": type(motion).__name__}
     deforms = isinstance(motion, VertexMotion)
     if isinstance(motion, Trajectory):
