@@ -105,6 +105,7 @@ def calls(folder: Path) -> dict[str, Call]:
     config = {field: getattr(sim.ModelConfig(), field) for field in sim.ModelConfig.__dataclass_fields__}
     all_worlds = {"meshes": [mesh], "lower": (0, 0, 0), "upper": (9, 9, 9), "position": motion.position_t0}
     all_worlds |= {
+        "exclude": [[0, 1]],
         "id": torch.arange(2),
         "mesh_index": [0, 0],
         **filters,
@@ -116,7 +117,9 @@ def calls(folder: Path) -> dict[str, Call]:
         **options,
         **initial,
     }
-    added = {name: all_worlds[name] for name in ("position", "mesh_index", *filters, "margin", "self_collision")}
+    added = {
+        name: all_worlds[name] for name in ("position", "mesh_index", *filters, "margin", "self_collision", "exclude")
+    }
     added |= {"id": torch.arange(2, 4), "payload": {"v": torch.ones(2, 3)}, "vertex_payload": {}}
     all_worlds |= {"report": "first", "broad_phase": "auto", "path": "rigid", "axes": 3, "cells": 16, "overlap": True}
     return {
