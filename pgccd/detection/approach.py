@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
@@ -61,6 +61,15 @@ class Cause:
     is_first: bool
     again: Callable[[Tensor, float | None], Contacts]
     versions: list[int]
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Copies of the motion count writes anew."""
+        return {**vars(self), "versions": None if versions_of(self.motion) == self.versions else self.versions}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        if state["versions"] is None:
+            self.__dict__["versions"] = versions_of(self.motion)
 
     def require_unchanged(self) -> None:
         """Raises RuntimeError if the motion has been written to since."""

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,6 +19,9 @@ from pgccd.motion.validation import MARGIN, Checked, check_of, columns_checked, 
 # How far an orientation may be from where the rotation before it leads, in units in the last place of the coarser of
 # both, for each radian of the rotation and one more.
 _ROUNDING = 64.0
+# Units in the last place of what may be given.
+_UNITS = (torch.finfo(torch.float64).eps, torch.finfo(torch.float32).eps)
+_COLUMNS = ("position", "orientation", "rotation", "margin")
 
 
 class Trajectory:
@@ -85,7 +90,7 @@ class Trajectory:
         self._check(slice(0, None))
 
     # The coarser unit in the last place of orientations and rotations as given.
-    _unit = torch.finfo(torch.float64).eps
+    _unit = _UNITS[0]
 
     @classmethod
     def from_velocity(
@@ -236,9 +241,90 @@ class Trajectory:
         self._check(slice(0, None))
         return self._motion(slice(0, self.segment_count))
 
+    def to(self, device: torch.device | str) -> Trajectory:
+        """A copy on another device.
+
+        Example:
+            >>> trajectory = pgccd.Trajectory(torch.stack([x0, x1]), torch.stack([q0, q1])).to("cpu")
+        """
+        device = arguments.device(device)
+        moved = copy.copy(self)
+        for name in _COLUMNS:
+            column = getattr(self, name)
+            setattr(moved, name, None if column is None else column.to(device))
+        return moved
+
+    def __getitem__(self, rows: Tensor | slice | Sequence[int]) -> Trajectory:
+        """The trajectory of some rigid bodies, through all waypoints: a mask (N,), row numbers or a slice; as
+        `Scene[rows]`.
+
+        Raises:
+            TypeError, ValueError, IndexError: naming the argument; or the bodies deform: index their vertices.
+
+        Example:
+            >>> part = pgccd.Trajectory(torch.stack([x0, x1]), torch.stack([q0, q1]))[:1]
+        """
+        if self.orientation is None:
+            raise TypeError("rows: expected a trajectory of rigid bodies; vertices of deforming ones are in `position`")
+        picked = arguments.rows(rows, "rows", self.position.shape[1])
+        part = copy.copy(self)
+        for name in _COLUMNS:
+            column = getattr(self, name)
+            setattr(part, name, None if column is None else column[:, picked].contiguous())
+        return part
+
+    def state_dict(self) -> dict[str, Any]:
+        """The trajectory as a dictionary of tensors, names and numbers, without gradients, for `torch.save` and
+        `torch.load` with weights_only=True.
+
+        Raises:
+            TypeError, ValueError: a column has been replaced or written, and is invalid.
+
+        Example:
+            >>> trajectory = pgccd.Trajectory(torch.stack([x0, x1]), torch.stack([q0, q1]))
+            >>> torch.save(trajectory.state_dict(), "trajectory.pt")
+        """
+        self._check(slice(0, None))
+        columns = {name: getattr(self, name) for name in _COLUMNS}
+        plain = {name: None if column is None else column.detach() for name, column in columns.items()}
+        return {**plain, "path": self.path, "rounding": self._unit}
+
+    @classmethod
+    def from_state_dict(cls, state: dict[str, Any]) -> Trajectory:
+        """The trajectory of a `state_dict`, bit by bit, on the device of its tensors.
+
+        Args:
+            state: from `state_dict`.
+
+        Raises:
+            TypeError, ValueError: naming the entry that is missing or invalid.
+
+        Example:
+            >>> trajectory = pgccd.Trajectory(torch.stack([x0, x1]), torch.stack([q0, q1]))
+            >>> again = pgccd.Trajectory.from_state_dict(trajectory.state_dict())
+        """
+        arguments.entries(state, (*_COLUMNS, "path", "rounding"))
+        arguments.choice(state["path"], "path", PATHS)
+        unit = arguments.number(state["rounding"], "rounding")
+        if unit not in _UNITS:
+            raise ValueError(f"rounding: expected one of {_UNITS}, got {unit}")
+        if state["rotation"] is not None and state["orientation"] is None:
+            raise ValueError("rotation: expected an orientation beside it")
+        made = cls.__new__(cls)
+        for name in _COLUMNS:
+            setattr(made, name, state[name])
+        made.path, made._unit = state["path"], unit
+        made._check(slice(0, None))
+        return made
+
+    def __repr__(self) -> str:
+        what = "vertices" if self.orientation is None else "bodies"
+        size = f"waypoints={self.position.shape[0]}, {what}={self.position.shape[1]}"
+        return f"Trajectory({size}, path={self.path!r}, device={self.device})"
+
     def _refuse_gradient(self) -> None:
         """Raises ValueError naming the first column that requires grad while gradients are enabled."""
-        for name in ("position", "orientation", "rotation", "margin"):
+        for name in _COLUMNS:
             column = getattr(self, name)
             if isinstance(column, Tensor):
                 arguments.refuse_gradient(column, name)

@@ -290,6 +290,27 @@ def test_refusals() -> None:
         for ask in (lambda c: c.approach, lambda c: c.approaching()):
             with pytest.raises(ValueError, match="hits: the approach of contacts is known of those"):
                 ask(contacts)
+    in_capacity: Any = pgccd.detect(scene, motion, capacity=Capacity.of(4, 100))
+    for padded in (in_capacity, pgccd.CapturedDetection(scene, motion).replay()):
+        for name in ("approach", "approaching"):
+            with pytest.raises(
+                AttributeError, match=f"PaddedContacts has no '{name}', .*: call `detect` without a cap"
+            ):
+                getattr(padded, name)
+        with pytest.raises(AttributeError, match="'PaddedContacts' object has no attribute 'nothing'"):
+            _ = padded.nothing
+    with pytest.raises(ValueError, match="^normals: captured steps have those of the \"features\", got 'surface'"):
+        pgccd.CapturedDetection(scene, motion, normals="surface")
+    with pytest.raises(TypeError, match="^colour: expected one of "):
+        pgccd.CapturedDetection(scene, motion, colour=1)  # type: ignore[call-overload]
+    room = pgccd.distributed.World.create([CUBE, FLOOR], (-9,) * 3, (9,) * 3, motion.position_t0, mesh_index=[0, 1])
+    of_ranks = room.step(motion)
+    assert len(of_ranks) == 1
+    for ask in (lambda c: c.approach, lambda c: c.approaching()):
+        with pytest.raises(ValueError, match="hits: the approach of contacts is .* not of contacts of ranks"):
+            ask(of_ranks)
+    with pytest.raises(TypeError, match="normals"):
+        pgccd.distributed.World.create([CUBE], (-9,) * 3, (9,) * 3, motion.position_t0, normals="surface")  # type: ignore
     with pytest.raises(AttributeError, match='report: "any" gives pairs without contacts, and no `approach`'):
         _ = pgccd.detect(scene, motion, "any").approach  # type: ignore[attr-defined]
     motion.position_t1[0, 0] += 1.0
