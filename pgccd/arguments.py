@@ -14,6 +14,7 @@ from torch.autograd import forward_ad
 def number(value: Any, name: str, expected: str = "a number") -> float:
     """The value as a float. Accepts a Python or NumPy number or a tensor with one element, but not a bool."""
     if isinstance(value, Tensor) and value.dim() == 0 and not value.dtype.is_complex and value.dtype != torch.bool:
+        refuse_transforms(value, name)
         refuse_gradient(value, name)
         refuse_meta(value, name)
         value = value.item()

@@ -106,6 +106,7 @@ class Cause:
         the rest of the step. Synchronises.
         """
         self.require_unchanged()
+        slack = self.tolerance if slack is None else arguments.length(slack, "slack")
         with torch.no_grad():
             scene, motion = self.scene._detached(), self.motion._detached()
             sites = Sites.of(contacts, scene, motion, bodies)
@@ -114,10 +115,9 @@ class Cause:
 
     def _slack(self, scene: Scene, bodies: Tensor, slack: float | None) -> Tensor:
         """(K,)"""
-        given = self.tolerance if slack is None else arguments.length(slack, "slack")
-        if given is None:
+        if slack is None:
             return RELATIVE_TOLERANCE * scene._current_radius()[bodies].amin(1)
-        return torch.full((len(bodies),), given, dtype=torch.float64, device=bodies.device)
+        return torch.full((len(bodies),), slack, dtype=torch.float64, device=bodies.device)
 
 
 def versions_of(motion: RigidMotion | VertexMotion) -> list[int]:
