@@ -14,12 +14,16 @@ from torch.autograd import forward_ad
 def number(value: Any, name: str, expected: str = "a number") -> float:
     """The value as a float. Accepts a Python or NumPy number or a tensor with one element, but not a bool."""
     if isinstance(value, Tensor) and value.dim() == 0 and not value.dtype.is_complex and value.dtype != torch.bool:
+        refuse_transforms(value, name)
         refuse_gradient(value, name)
         refuse_meta(value, name)
         value = value.item()
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, float, np.floating, np.integer)):
         raise TypeError(f"{name}: expected {expected}, got {describe(value)}")
-    return float(value)
+    try:
+        return float(value)
+    except OverflowError as error:
+        raise ValueError(f"{name}: expected {expected}, got an integer beyond the largest float64") from error
 
 
 # Squares of larger lengths overflow.
@@ -32,16 +36,22 @@ def length(value: Any, name: str) -> float:
     """The value as a float, if it is a length in [0, 1e150]."""
     result = number(value, name, LENGTH)
     if not 0.0 <= result <= LONGEST:
-        raise ValueError(f"{name}: expected {LENGTH}, got {value}")
+        raise ValueError(f"{name}: expected {LENGTH}, got {result}")
     return result
 
 
+# The largest integer that operators and columns of int64 hold.
+_LARGEST_INTEGER = 2**63 - 1
+
+
 def integer(value: Any, name: str, lowest: int, expected: str) -> int:
-    """The value as an int, if it is an integer (no bool) and not less than `lowest`."""
+    """The value as an int, if it is an integer (no bool), not less than `lowest` and below 2^63."""
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
         raise TypeError(f"{name}: expected {expected}, got {describe(value)}")
     if value < lowest:
-        raise ValueError(f"{name}: expected {expected}, got {value}")
+        raise ValueError(f"{name}: expected {expected}, got {describe(value)}")
+    if value > _LARGEST_INTEGER:
+        raise ValueError(f"{name}: expected {expected}, below 2^63, got {describe(value)}")
     return int(value)
 
 
@@ -68,8 +78,10 @@ def describe(value: Any) -> str:
     """A short description of a value for an error message."""
     if isinstance(value, Tensor):
         return f"a {dtype_name(value.dtype)} tensor of shape {tuple(value.shape)}"
-    if value is None or isinstance(value, (bool, int, float, complex)):
-        return repr(value)
+    if isinstance(value, (int, np.integer)) and not -(2**64) <= int(value) <= 2**64:
+        return f"an integer of {int(value).bit_length()} bits"
+    if value is None or isinstance(value, (bool, int, float, complex, np.integer)):
+        return str(value)
     if isinstance(value, str):
         return repr(value if len(value) <= 40 else value[:37] + "...")
     return type(value).__name__

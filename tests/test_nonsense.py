@@ -27,7 +27,14 @@ NONSENSE: dict[str, Callable[[], Any]] = {
     "-1": lambda: -1,
     "0": lambda: 0,
     "1.5": lambda: 1.5,
+    "2^31": lambda: 2**31,
+    "2^63 - 1": lambda: 2**63 - 1,
     "2^70": lambda: 2**70,
+    "10^400": lambda: 10**400,
+    "-10^400": lambda: -(10**400),
+    "an integer of NumPy": lambda: np.uint64(2**64 - 1),
+    "a number of NumPy": lambda: np.float32(0.3),
+    "a bool of NumPy": lambda: np.bool_(True),
     "nan": lambda: NAN,
     "inf": lambda: float("inf"),
     "an object": object,
@@ -98,6 +105,7 @@ def calls(folder: Path) -> dict[str, Call]:
     config = {field: getattr(sim.ModelConfig(), field) for field in sim.ModelConfig.__dataclass_fields__}
     all_worlds = {"meshes": [mesh], "lower": (0, 0, 0), "upper": (9, 9, 9), "position": motion.position_t0}
     all_worlds |= {
+        "exclude": [[0, 1]],
         "id": torch.arange(2),
         "mesh_index": [0, 0],
         **filters,
@@ -109,7 +117,9 @@ def calls(folder: Path) -> dict[str, Call]:
         **options,
         **initial,
     }
-    added = {name: all_worlds[name] for name in ("position", "mesh_index", *filters, "margin", "self_collision")}
+    added = {
+        name: all_worlds[name] for name in ("position", "mesh_index", *filters, "margin", "self_collision", "exclude")
+    }
     added |= {"id": torch.arange(2, 4), "payload": {"v": torch.ones(2, 3)}, "vertex_payload": {}}
     all_worlds |= {"report": "first", "broad_phase": "auto", "path": "rigid", "axes": 3, "cells": 16, "overlap": True}
     return {
@@ -160,7 +170,7 @@ def calls(folder: Path) -> dict[str, Call]:
             spins
             | {"linear_velocity": torch.ones(1, 2, 3), "angular_velocity": torch.ones(1, 2, 3), "dt": 1.0}
             | {"path": "rigid", "margin": torch.zeros(1, 2)},
-            {"position": ("orientation",)},
+            {"position": ("orientation",), "dt": ("linear_velocity", "angular_velocity")},
         ),
         "MovingBodies.of": Call(pgccd.MovingBodies.of, {"scene": scene, "motion": motion}),
         "BufferSizes": Call(
@@ -181,6 +191,42 @@ def calls(folder: Path) -> dict[str, Call]:
             | initial
             | {"normals": "features"}
             | {"memory_budget": 1 << 20, "capacity": pgccd.Capacity.of(9)},
+        ),
+        "detect, exactly": Call(
+            pgccd.detect,
+            {"scene": scene, "motion": motion, "report": "first", **options, "broad_phase": "auto"}
+            | initial
+            | {"normals": "features", "memory_budget": 1 << 20, "pairs": None, "capacity": None},
+        ),
+        "detect, a trajectory": Call(
+            pgccd.detect,
+            {"scene": scene, "motion": rollout, "report": "first", **options, "broad_phase": "auto"}
+            | initial
+            | {"normals": "surface", "memory_budget": 1 << 20, "pairs": pairs, "capacity": None},
+            {"capacity": ("normals",)},
+        ),
+        "enclosed": Call(pgccd.enclosed, {"scene": pgccd.Scene([mesh], [0, 0]), "motion": motion}),
+        "RigidMotion.at": Call(motion.at, {"t": 0.5}),
+        "RigidMotion.shortened": Call(motion.shortened, {"fraction": 0.5}),
+        "Trajectory.segment": Call(rollout.segment, {"index": 0}),
+        "Contacts.approaching": Call(hits.approaching, {"slack": 0.1}),
+        "Contacts.first_toi": Call(hits.first_toi, {"by": "body"}),
+        "Mesh.box": Call(pgccd.Mesh.box, {"extents": (1.0, 1.0, 1.0), "origin": "centroid"}, {"extents": ("origin",)}),
+        "Mesh.sphere": Call(pgccd.Mesh.sphere, {"radius": 1.0, "subdivisions": 1, "origin": "centroid"}),
+        "Mesh.cylinder": Call(pgccd.Mesh.cylinder, {"radius": 1.0, "height": 1.0, "sections": 8, "origin": "centroid"}),
+        "CapturedDetection": Call(
+            pgccd.CapturedDetection,
+            {"scene": scene, "motion": motion, "report": "first", **options, "broad_phase": "auto"}
+            | initial
+            | {"capacity": None},
+        ),
+        "BalanceOptions": Call(
+            distributed.BalanceOptions,
+            {
+                field: getattr(distributed.BalanceOptions(), field)
+                for field in distributed.BalanceOptions.__dataclass_fields__
+            },
+            {"start": ("goal",)},
         ),
         "audit": Call(
             pgccd.audit,

@@ -91,6 +91,10 @@ def audit(
         raise TypeError(f"scene: expected a pgccd.Scene, got {arguments.describe(scene)}")
     arguments.choice(path, "path", PATHS)
     keep = arguments.integer(keep, "keep", 0, "a number of segments >= 0")
+    if scene.margin is not None:
+        arguments.refuse_gradient(scene.margin, "margin")
+    if isinstance(trajectory, Trajectory):
+        trajectory._refuse_gradient()
     options: DetectOptions = {"tolerance": tolerance, "broad_phase": broad_phase}
     auditor = _Auditor(scene, partial(detect, min_separation=min_separation, **options), keep)
     for part in windows(scene, trajectory, path):

@@ -9,7 +9,7 @@ from pgccd.detection.contacts import Contacts
 from pgccd.detection.narrow import Kind
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
-from pgccd.motion.rotation import integrate_orientation
+from pgccd.motion.rotation import rotated
 from pgccd.motion.trajectory import Trajectory
 
 
@@ -54,8 +54,7 @@ def _paths(scene: Scene, steps: RigidMotion | VertexMotion, segment: Tensor, pai
     body = (segment[:, None] * scene.body_count + pairs)[..., None].expand(rows.shape).reshape(-1)
     turn = steps.rotation[body]
     before, after = (
-        _turned(integrate_orientation(steps.orientation_t0[body], by), own.reshape(-1, 3))
-        for by in (torch.zeros_like(turn), turn)
+        _turned(rotated(steps.orientation_t0[body], by), own.reshape(-1, 3)) for by in (torch.zeros_like(turn), turn)
     )
     return (after - before + (steps.position_t1[body] - steps.position_t0[body])).view(own.shape)
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
@@ -62,6 +62,15 @@ class Cause:
     again: Callable[[Tensor, float | None], Contacts]
     versions: list[int]
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Copies of the motion count writes anew."""
+        return {**vars(self), "versions": None if versions_of(self.motion) == self.versions else self.versions}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        if state["versions"] is None:
+            self.__dict__["versions"] = versions_of(self.motion)
+
     def require_unchanged(self) -> None:
         """Raises RuntimeError if the motion has been written to since."""
         if versions_of(self.motion) != self.versions:
@@ -97,6 +106,7 @@ class Cause:
         the rest of the step. Synchronises.
         """
         self.require_unchanged()
+        slack = self.tolerance if slack is None else arguments.length(slack, "slack")
         with torch.no_grad():
             scene, motion = self.scene._detached(), self.motion._detached()
             sites = Sites.of(contacts, scene, motion, bodies)
@@ -105,10 +115,9 @@ class Cause:
 
     def _slack(self, scene: Scene, bodies: Tensor, slack: float | None) -> Tensor:
         """(K,)"""
-        given = self.tolerance if slack is None else arguments.length(slack, "slack")
-        if given is None:
+        if slack is None:
             return RELATIVE_TOLERANCE * scene._current_radius()[bodies].amin(1)
-        return torch.full((len(bodies),), given, dtype=torch.float64, device=bodies.device)
+        return torch.full((len(bodies),), slack, dtype=torch.float64, device=bodies.device)
 
 
 def versions_of(motion: RigidMotion | VertexMotion) -> list[int]:

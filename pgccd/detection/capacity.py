@@ -26,7 +26,8 @@ _BYTES = {
 }
 # Added to every capacity, so that small scenes rarely overflow when they change.
 _SMALLEST = 4096
-_MOST = 2**31 - 1  # rows have 32-bit numbers
+#: Rows have 32-bit numbers.
+MOST_ROWS = 2**31 - 1
 _EXACT = -1  # number of contacts that stands for "as many as found"
 
 
@@ -124,7 +125,7 @@ class BufferSizes(Capacity):
     def times(self, factor: float) -> BufferSizes:
         factor = arguments.length(factor, "factor")
         scaled: dict[str, Any] = {
-            name: min(_MOST, _round_up(math.ceil(factor * getattr(self, name)) + _SMALLEST))
+            name: min(MOST_ROWS, _round_up(math.ceil(factor * getattr(self, name)) + _SMALLEST))
             for name in _BYTES
             if name != "overlaps" or self.overlaps
         }
@@ -174,7 +175,7 @@ def sizes_of(capacity: Capacity) -> BufferSizes:
         raise TypeError(f"capacity: expected a pgccd.Capacity, got {arguments.describe(capacity)}{hint}")
     for name in _NAMES:
         number = getattr(capacity, name)
-        if not 0 <= number <= _MOST:
+        if not 0 <= number <= MOST_ROWS:
             raise ValueError(f"capacity: {name}: expected a number of rows from 0 to 2^31 - 1, got {number}")
     return capacity
 

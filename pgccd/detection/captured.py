@@ -133,6 +133,11 @@ class CapturedDetection(Generic[P]):
             options.get("nonzero_toi", False),
             options.get("initial", "report"),
         )
+        unknown = set(options) - DetectOptions.__annotations__.keys()
+        if unknown:
+            raise TypeError(f"{min(unknown)}: expected one of {list(DetectOptions.__annotations__)}")
+        if options.get("normals", "features") != "features":
+            raise ValueError(f'normals: captured steps have those of the "features", got {options["normals"]!r}')
         arguments.choice(options.get("broad_phase", "auto"), "broad_phase", broad.BROAD_PHASES)
         if capacity is not None:
             sizes_of(capacity)

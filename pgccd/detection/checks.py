@@ -46,6 +46,8 @@ def check_separation(min_separation: float | Tensor) -> float:
 
 def separation_value(min_separation: float | Tensor) -> float:
     """As `check_separation`, of a value that may require grad."""
+    if isinstance(min_separation, Tensor):
+        arguments.refuse_transforms(min_separation, "min_separation")
     if isinstance(min_separation, Tensor) and arguments.is_differentiated(min_separation):
         return check_separation(min_separation.detach())
     return check_separation(min_separation)

@@ -87,6 +87,8 @@ def enclosed_pairs(scene: Scene, still: RigidMotion | VertexMotion, pairs: Tenso
 
 
 def _at_rest(motion: RigidMotion | VertexMotion | Trajectory) -> RigidMotion | VertexMotion:
+    if isinstance(motion, (Trajectory, RigidMotion, VertexMotion)):
+        motion._refuse_gradient()
     if isinstance(motion, Trajectory):
         motion = motion.segment(0)
     if isinstance(motion, RigidMotion):

@@ -6,7 +6,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from pgccd.detection.capacity import BufferSizes, Capacity, sizes_of
+from pgccd.detection.capacity import MOST_ROWS, BufferSizes, Capacity, sizes_of
 from pgccd.detection.query import Query
 from pgccd.geometry.scene import Scene
 
@@ -94,4 +94,4 @@ def pairs_a_chunk(scene: Scene, estimate: CapacityEstimate, budget: int | None, 
     if needed is not None and needed.pairs:
         bytes_per_pair = max(bytes_per_pair, math.ceil(needed.bytes / needed.pairs))
     limit = memory_limit(budget, pair_count * bytes_per_pair, scene.device)
-    return max(1, limit // bytes_per_pair)
+    return min(MOST_ROWS, max(1, limit // bytes_per_pair))

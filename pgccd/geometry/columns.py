@@ -88,8 +88,12 @@ def margin_column(values: Tensor | Sequence[float] | float, count: int, device: 
     return column.contiguous()
 
 
-def pairs_never_tested(values: Tensor | Sequence[Sequence[int]], count: int, device: torch.device) -> Tensor:
-    """Pairs of different bodies, in any order, as (E, 2) int64 on the device: i < j, sorted, each once."""
+def pairs_never_tested(values: Tensor | Sequence[Sequence[int]], count: int | None, device: torch.device) -> Tensor:
+    """Pairs of different bodies, in any order, as (E, 2) int64 on the device: i < j, sorted, each once.
+
+    Args:
+        count: number of bodies; None: bodies are named by ids >= 0.
+    """
     expected = "pairs of different bodies, shape (E, 2)"
     try:
         pairs = torch.as_tensor(arguments.as_tensor(values, "exclude"))
@@ -105,13 +109,13 @@ def pairs_never_tested(values: Tensor | Sequence[Sequence[int]], count: int, dev
     if pairs.dim() != 2 or pairs.shape[1] != 2:
         raise ValueError(f"exclude: expected {expected}, got shape {tuple(pairs.shape)}")
     pairs = pairs.to(device=device, dtype=torch.int64)
-    sound = ((pairs >= 0) & (pairs < count)).all(dim=1) & (pairs[:, 0] != pairs[:, 1])
+    among = f"bodies from 0 to {count - 1}" if count is not None else "ids >= 0"
+    sound = (pairs >= 0).all(dim=1) & (pairs[:, 0] != pairs[:, 1])
+    sound &= (pairs < (2**63 - 1 if count is None else count)).all(dim=1)
     if not bool(sound.all()):
         row = int((~sound).long().argmax())
         hint = "; a body is tested against itself only with self_collision" if pairs[row].unique().numel() == 1 else ""
-        raise ValueError(
-            f"exclude: pair {row}: expected two different bodies from 0 to {count - 1}, got {pairs[row].tolist()}{hint}"
-        )
+        raise ValueError(f"exclude: pair {row}: expected two different {among}, got {pairs[row].tolist()}{hint}")
     return torch.unique(pairs.sort(dim=1).values, dim=0)
 
 

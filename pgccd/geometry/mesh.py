@@ -195,7 +195,7 @@ class Mesh:
         Args:
             radius: of the cylinder, > 0, in scene length units.
             height: along z, > 0, in scene length units.
-            sections: corners of the polygon, at least 3.
+            sections: corners of the polygon, from 3 to 1,000,000.
             origin: as for the constructor.
 
         Raises:

@@ -12,6 +12,7 @@ from pgccd import arguments
 _SIZE = "a finite length > 0"
 # 20 x 4^8 faces: 1.3 million.
 _MOST_SUBDIVISIONS = 8
+_MOST_SECTIONS = 1_000_000
 
 Surface = tuple[np.ndarray, np.ndarray]
 
@@ -55,7 +56,10 @@ def sphere(radius: float, subdivisions: int) -> Surface:
 def cylinder(radius: float, height: float, sections: int) -> Surface:
     """A prism around the z axis. See `Mesh.cylinder`."""
     radius, height = _size(radius, "radius"), _size(height, "height")
-    sections = arguments.integer(sections, "sections", 3, "an integer of at least 3")
+    expected = f"an integer in [3, {_MOST_SECTIONS}]"
+    sections = arguments.integer(sections, "sections", 3, expected)
+    if sections > _MOST_SECTIONS:
+        raise ValueError(f"sections: expected {expected}, got {sections}")
     angle = 2.0 * np.pi * np.arange(sections) / sections
     ring = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
     ends = [np.column_stack([ring, np.full(sections, z)]) for z in (-0.5 * height, 0.5 * height)]

@@ -52,6 +52,7 @@ class MovingColumns:
             for name, column in columns.items()
         ):
             return columns
+        self._refuse_gradient()
         given, count, device = dict(columns), None, None
         for name, column in given.items():
             columns[name] = real_rows(column, name, count, 4 if name.startswith("orientation") else 3, device)
@@ -66,6 +67,13 @@ class MovingColumns:
     def _is_differentiated(self) -> bool:
         """Whether a column requires grad while gradients are enabled."""
         return any_differentiated(*(getattr(self, name) for name in self._names))
+
+    def _refuse_gradient(self) -> None:
+        """Raises ValueError naming the first argument that requires grad while gradients are enabled."""
+        for name in self._names:
+            column = getattr(self, name)
+            if isinstance(column, Tensor):
+                arguments.refuse_gradient(column, self._sources.get(name, name))
 
     def _detached(self: _Self) -> _Self:
         """The motion without gradients; itself if it has none."""

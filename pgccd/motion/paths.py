@@ -67,6 +67,7 @@ class RigidMotion(MovingColumns):
         path: PathKind = "rigid",
     ) -> None:
         self._set(position_t0, orientation_t0, position_t1, path)
+        self._sources = {"rotation": "orientation_t1"}
         orientation_t1 = _rows(orientation_t1, "orientation_t1", self.body_count, 4, self.device)
         if any_differentiated(self.orientation_t0, orientation_t1):
             expression = rotation_between(self.orientation_t0, orientation_t1)

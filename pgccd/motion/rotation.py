@@ -5,6 +5,7 @@ from torch import Tensor
 
 from pgccd import ops
 from pgccd.arguments import real_rows
+from pgccd.motion.validation import Validation, columns_checked, first_invalid_rows
 
 
 def integrate_orientation(orientation: Tensor, rotation: Tensor) -> Tensor:
@@ -19,7 +20,8 @@ def integrate_orientation(orientation: Tensor, rotation: Tensor) -> Tensor:
         (N, 4), of the dtype and on the device of `orientation`.
 
     Raises:
-        TypeError, ValueError: naming the argument.
+        TypeError, ValueError: naming the argument; on a CPU also if a turn is longer than 1e6 radians, or an
+            orientation has no direction. On a GPU the result is NaN there.
 
     Example:
         >>> motion = pgccd.RigidMotion.from_velocity(x, q, v, omega, dt=1e-3)
@@ -27,6 +29,23 @@ def integrate_orientation(orientation: Tensor, rotation: Tensor) -> Tensor:
     """
     start = real_rows(orientation, "orientation", None, 4, None)
     turn = real_rows(rotation, "rotation", len(start), 3, start.device)
-    nowhere, end = torch.zeros_like(turn), torch.ones_like(turn[:, 0])
-    _, turned = ops.poses_at(nowhere, nowhere, start, turn, end)
+    turned = rotated(start, turn)
+    if start.device.type == "cpu" and not torch.compiler.is_compiling():
+        _raise_invalid(start, turn, turned)
     return turned.to(orientation.dtype)
+
+
+def rotated(orientation: Tensor, rotation: Tensor) -> Tensor:
+    """As `integrate_orientation`, of float64 rows, without checks; NaN where a row is invalid."""
+    nowhere, end = torch.zeros_like(rotation).contiguous(), torch.ones_like(rotation[:, 0])
+    _, turned = ops.poses_at(nowhere, nowhere, orientation.contiguous(), rotation.contiguous(), end)
+    return turned
+
+
+def _raise_invalid(start: Tensor, turn: Tensor, turned: Tensor) -> None:
+    columns = columns_checked({"rotation": turn}, "body")
+    Validation(columns).raise_from(first_invalid_rows(columns).tolist())
+    sound = turned.isfinite().all(dim=1)
+    if not bool(sound.all()):
+        row = int((~sound).long().argmax())
+        raise ValueError(f"orientation: body {row}: expected a unit quaternion (w, x, y, z), got {start[row].tolist()}")

@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
+from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from pgccd import arguments
 from pgccd.arguments import real_rows
 from pgccd.motion.paths import PATHS, PathKind, RigidMotion, VertexMotion
-from pgccd.motion.rotation import integrate_orientation
-from pgccd.motion.validation import MARGIN, Checked, columns_checked, first_invalid_rows
+from pgccd.motion.rotation import rotated
+from pgccd.motion.validation import MARGIN, Checked, check_of, columns_checked, first_invalid_rows
 
 # How far an orientation may be from where the rotation before it leads, in units in the last place of the coarser of
 # both, for each radian of the rotation and one more.
 _ROUNDING = 64.0
+# Units in the last place of what may be given.
+_UNITS = (torch.finfo(torch.float64).eps, torch.finfo(torch.float32).eps)
+_COLUMNS = ("position", "orientation", "rotation", "margin")
 
 
 class Trajectory:
@@ -76,12 +82,15 @@ class Trajectory:
             self.position = _waypoints(position, "position", 3, None)
             self._note_rounding(orientation, rotation)
             self.rotation = rotation = _of_segments(rotation, "rotation", (self.position.shape[1], 3), self.position)
+            arguments.refuse_gradient(rotation, "rotation")  # nor that of the orientations that follow
+            count = self.position.shape[1]
+            _raise_invalid(columns_checked({"rotation": rotation.flatten(0, 1)}, "body"), "segment", 0, count)
             orientation = _turned(orientation, rotation)
         self.orientation = orientation
         self._check(slice(0, None))
 
     # The coarser unit in the last place of orientations and rotations as given.
-    _unit = torch.finfo(torch.float64).eps
+    _unit = _UNITS[0]
 
     @classmethod
     def from_velocity(
@@ -123,7 +132,8 @@ class Trajectory:
             expected = f"shape {tuple(velocity.shape)}, as of linear_velocity"
             raise ValueError(f"angular_velocity: expected {expected}, got {tuple(spin.shape)}")
         for (name, _), values in zip(rates, (velocity, spin), strict=True):
-            _raise_invalid(columns_checked({name: values.flatten(0, 1)}, "body"), "segment", 0, len(start))
+            finite = Checked(name, values.flatten(0, 1), check_of("position"), "body")  # whatever the turns
+            _raise_invalid([finite], "segment", 0, len(start))
         duration = arguments.real_numbers(dt, "dt", "finite durations >= 0").to(start.device)
         if duration.shape not in ((), (len(velocity),)):
             raise ValueError(f"dt: expected a number or shape ({len(velocity)},), got {tuple(duration.shape)}")
@@ -133,7 +143,13 @@ class Trajectory:
         positions = [start]
         for travel in duration * velocity:
             positions.append(positions[-1] + travel)
-        return cls(torch.stack(positions), turned, path, rotation=duration * spin, margin=margin)
+        position, rotation = torch.stack(positions), duration * spin
+        _raise_invalid(columns_checked({"position": start}, "body"), "waypoint", 0, len(start))
+        reached = Checked("linear_velocity", position[1:].flatten(0, 1), check_of("position"), "body")
+        _raise_invalid([reached], "position after segment", 0, len(start))
+        turn = Checked("angular_velocity", rotation.flatten(0, 1), check_of("rotation"), "body")
+        _raise_invalid([turn], "segment", 0, len(start))
+        return cls(position, turned, path, rotation=rotation, margin=margin)
 
     def _note_rounding(self, *columns: Tensor | None) -> None:
         given = [column.dtype for column in columns if isinstance(column, Tensor) and column.is_floating_point()]
@@ -168,7 +184,7 @@ class Trajectory:
     def _check_turns(self, orientation: Tensor, rotation: Tensor, first: int) -> None:
         """Raises ValueError unless each rotation leads from one orientation to the next."""
         orientation, rotation = orientation.detach(), rotation.detach()
-        turned = integrate_orientation(orientation[:-1].reshape(-1, 4), rotation.reshape(-1, 3))
+        turned = rotated(orientation[:-1].reshape(-1, 4), rotation.reshape(-1, 3))
         reached = orientation[1:].reshape(-1, 4)
         reached = reached / _length(reached)[:, None]
         off = torch.minimum(_length(turned - reached), _length(turned + reached))
@@ -200,14 +216,19 @@ class Trajectory:
 
         Raises:
             IndexError: the index is out of range.
-            TypeError, ValueError: a column has been replaced or written, and is invalid there.
+            TypeError, ValueError: the index is no integer; or a column has been replaced or written, and is invalid
+                there.
 
         Example:
             >>> trajectory = pgccd.Trajectory(torch.stack([x0, x1]), torch.stack([q0, q1]))
             >>> position, orientation = trajectory.segment(0).at(0.5)
         """
+        expected = f"a segment in [0, {self.segment_count})"
+        if not isinstance(index, (int, np.integer)) or isinstance(index, bool):
+            raise TypeError(f"index: expected {expected}, got {arguments.describe(index)}")
         if not 0 <= index < self.segment_count:
-            raise IndexError(f"index: expected a segment in [0, {self.segment_count}), got {index}")
+            raise IndexError(f"index: expected {expected}, got {arguments.describe(index)}")
+        index = int(index)
         self._check(slice(index, index + 2))
         return self._motion(slice(index, index + 1))
 
@@ -219,6 +240,94 @@ class Trajectory:
         """
         self._check(slice(0, None))
         return self._motion(slice(0, self.segment_count))
+
+    def to(self, device: torch.device | str) -> Trajectory:
+        """A copy on another device.
+
+        Example:
+            >>> trajectory = pgccd.Trajectory(torch.stack([x0, x1]), torch.stack([q0, q1])).to("cpu")
+        """
+        device = arguments.device(device)
+        moved = copy.copy(self)
+        for name in _COLUMNS:
+            column = getattr(self, name)
+            setattr(moved, name, None if column is None else column.to(device))
+        return moved
+
+    def __getitem__(self, rows: Tensor | slice | Sequence[int]) -> Trajectory:
+        """The trajectory of some rigid bodies, through all waypoints: a mask (N,), row numbers or a slice; as
+        `Scene[rows]`.
+
+        Raises:
+            TypeError, ValueError, IndexError: naming the argument; or the bodies deform: index their vertices.
+
+        Example:
+            >>> part = pgccd.Trajectory(torch.stack([x0, x1]), torch.stack([q0, q1]))[:1]
+        """
+        if self.orientation is None:
+            raise TypeError("rows: expected a trajectory of rigid bodies; vertices of deforming ones are in `position`")
+        picked = arguments.rows(rows, "rows", self.position.shape[1])
+        part = copy.copy(self)
+        for name in _COLUMNS:
+            column = getattr(self, name)
+            setattr(part, name, None if column is None else column[:, picked].contiguous())
+        return part
+
+    def state_dict(self) -> dict[str, Any]:
+        """The trajectory as a dictionary of tensors, names and numbers, without gradients, for `torch.save` and
+        `torch.load` with weights_only=True.
+
+        Raises:
+            TypeError, ValueError: a column has been replaced or written, and is invalid.
+
+        Example:
+            >>> trajectory = pgccd.Trajectory(torch.stack([x0, x1]), torch.stack([q0, q1]))
+            >>> torch.save(trajectory.state_dict(), "trajectory.pt")
+        """
+        self._check(slice(0, None))
+        columns = {name: getattr(self, name) for name in _COLUMNS}
+        plain = {name: None if column is None else column.detach() for name, column in columns.items()}
+        return {**plain, "path": self.path, "rounding": self._unit}
+
+    @classmethod
+    def from_state_dict(cls, state: dict[str, Any]) -> Trajectory:
+        """The trajectory of a `state_dict`, bit by bit, on the device of its tensors.
+
+        Args:
+            state: from `state_dict`.
+
+        Raises:
+            TypeError, ValueError: naming the entry that is missing or invalid.
+
+        Example:
+            >>> trajectory = pgccd.Trajectory(torch.stack([x0, x1]), torch.stack([q0, q1]))
+            >>> again = pgccd.Trajectory.from_state_dict(trajectory.state_dict())
+        """
+        arguments.entries(state, (*_COLUMNS, "path", "rounding"))
+        arguments.choice(state["path"], "path", PATHS)
+        unit = arguments.number(state["rounding"], "rounding")
+        if unit not in _UNITS:
+            raise ValueError(f"rounding: expected one of {_UNITS}, got {unit}")
+        if state["rotation"] is not None and state["orientation"] is None:
+            raise ValueError("rotation: expected an orientation beside it")
+        made = cls.__new__(cls)
+        for name in _COLUMNS:
+            setattr(made, name, state[name])
+        made.path, made._unit = state["path"], unit
+        made._check(slice(0, None))
+        return made
+
+    def __repr__(self) -> str:
+        what = "vertices" if self.orientation is None else "bodies"
+        size = f"waypoints={self.position.shape[0]}, {what}={self.position.shape[1]}"
+        return f"Trajectory({size}, path={self.path!r}, device={self.device})"
+
+    def _refuse_gradient(self) -> None:
+        """Raises ValueError naming the first column that requires grad while gradients are enabled."""
+        for name in _COLUMNS:
+            column = getattr(self, name)
+            if isinstance(column, Tensor):
+                arguments.refuse_gradient(column, name)
 
     def _part(self, first: int, last: int) -> Trajectory:
         """From waypoint `first` to waypoint `last`, sharing memory; nothing is checked."""
@@ -286,7 +395,7 @@ def _turned(orientation: Tensor, rotation: Tensor) -> Tensor:
     """(T, N, 4): the orientations to which rotations (T - 1, N, 3) lead from the first ones (N, 4)."""
     turned = [real_rows(orientation, "orientation", rotation.shape[1], 4, rotation.device)]
     for step in rotation:
-        turned.append(integrate_orientation(turned[-1], step))
+        turned.append(rotated(turned[-1], step))
     return torch.stack(turned)
 
 

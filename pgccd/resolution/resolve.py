@@ -143,6 +143,7 @@ def resolve(
         if sizes is not None:
             raise TypeError("motion: with a capacity, expected one step, got a Trajectory")
         check_trajectory(scene, motion)
+        motion._refuse_gradient()
         options: ResolveOptions = {"tolerance": tolerance, "initial": initial, "broad_phase": broad_phase}
         return resolve_segments(
             scene, motion, lambda thick, step: resolve(thick, step, movable, min_separation, **options)

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
-from pgccd.motion.rotation import integrate_orientation
+from pgccd.motion.rotation import rotated
 from pgccd.motion.trajectory import Trajectory, sum_of_margins
 from pgccd.resolution.results import Resolution
 from pgccd.resolution.search import body_of_vertex
@@ -127,7 +127,7 @@ def _end(step: RigidMotion | VertexMotion) -> tuple[Tensor, ...]:
     if isinstance(step, VertexMotion):
         return (step.x_t1,)
     at_rest = (step.rotation == 0.0).all(dim=1, keepdim=True)
-    turned = integrate_orientation(step.orientation_t0, step.rotation)
+    turned = rotated(step.orientation_t0, step.rotation)
     return step.position_t1, torch.where(at_rest, step.orientation_t0, turned)
 
 

@@ -18,7 +18,8 @@ class Verdict(IntEnum):
         NEAR: a pair comes within the resolution (or as near as rounding can tell); no configuration was found in which
             surfaces touch.
         START: a pair touches at the first waypoint.
-        INVALID: the value of a joint is not finite or larger than 1e6, or the pose of an obstacle is invalid.
+        INVALID: the value of a joint is not finite or larger than 1e6, a link turns by more than 1e4 radians between
+            two waypoints (all joints added), or the pose of an obstacle is invalid.
     """
 
     FREE = 0

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from pgccd.motion import differentiable
 from pgccd.motion.differentiable import any_differentiated, with_gradient_of
-from pgccd.motion.rotation import integrate_orientation
+from pgccd.motion.rotation import rotated
 
 JointKind = Literal["fixed", "revolute", "prismatic"]
 
@@ -146,8 +146,8 @@ class Tree:
 def _integrated(orientation: Tensor, rotation: Tensor) -> Tensor:
     """As `integrate_orientation`, with gradients."""
     if not any_differentiated(orientation, rotation):
-        return integrate_orientation(orientation, rotation)
-    value = integrate_orientation(orientation.detach(), rotation.detach())
+        return rotated(orientation, rotation)
+    value = rotated(orientation.detach(), rotation.detach())
     unit = orientation / orientation.norm(dim=-1, keepdim=True)
     return with_gradient_of(value, differentiable.product(differentiable.quaternion_of(rotation), unit), "orientation")
 

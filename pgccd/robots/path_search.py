@@ -26,6 +26,9 @@ _TOLERANCE, _MARGIN = 0.125, 0.25
 # A step is split into at most so many parts, and not if it is shorter than this part of its segment: then rounding
 # decides.
 _MOST_PARTS, _SHORTEST = 8, 2.0**-30
+# Radians that a link may turn between two waypoints, the turns of all joints added: a segment is first split into about
+# as many parts.
+_LONGEST_TURN = 1e4
 # Configurations in which a pair that comes near is looked at.
 _WITNESSES = 16
 
@@ -167,6 +170,7 @@ class PathSearch:
         scene = self._scene if self._scene.device == q.device else self._scene.to(q.device)
         found = Certificate._without_contact(len(q), robot.link_names, q.device)
         valid = (robot._magnitudes(q) <= LARGEST_VALUE).flatten(1).all(dim=1)
+        valid &= (self._turns(q[:, 1:] - q[:, :-1]) <= _LONGEST_TURN).all(dim=1)
         if obstacles is not None:
             valid &= obstacles._is_sound(len(q)).to(q.device)
         found.verdict[~valid] = int(Verdict.INVALID)
@@ -209,14 +213,15 @@ class PathSearch:
         segments = q.shape[1] - 1
         environment = rows.repeat_interleave(segments)
         segment = torch.arange(segments, device=q.device).repeat(len(rows))
-        turn = turns(
-            self.robot._tree,
-            self.robot._frames,
-            (q[environment, segment + 1] - q[environment, segment]),
-        )
+        turn = self._turns(q[environment, segment + 1] - q[environment, segment])
         parts = (turn / torch.full_like(turn, 0.99 * MOST_TURN)).ceil().clamp(min=1.0).long()
         whole = _Steps(environment, segment, torch.zeros_like(turn), torch.ones_like(turn))
         return whole.split(parts)
+
+    def _turns(self, step: Tensor) -> Tensor:
+        """(...,): by how much links turn at most in steps (..., J), see `turns`."""
+        found = turns(self.robot._tree, self.robot._frames, step.reshape(-1, step.shape[-1]))
+        return found.view(step.shape[:-1])
 
     def _decide(self, steps: _Steps, met: _Met, found: Certificate, first: _First) -> _Steps:
         """Records the contacts of steps that are decided, and returns parts of those that are neither that nor free."""

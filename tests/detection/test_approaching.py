@@ -244,6 +244,49 @@ def test_rates_of_a_body_that_turns(device: torch.device) -> None:
     assert hits.approach.tolist() == pytest.approx([0.7 * 2.0 * math.cos(math.asin(0.25))], rel=1e-6)
 
 
+def test_rates_are_those_of_the_distance() -> None:
+    """Of bodies that turn, at points inside faces and edges: against differences of the distance of both features."""
+    generator = torch.Generator().manual_seed(4)
+    count = 300
+
+    def normal(width: int) -> Tensor:
+        return torch.randn((2 * count, width), generator=generator, dtype=torch.float64)
+
+    x, v, w = normal(3), 0.3 * normal(3), 2.0 * normal(3)
+    q = torch.nn.functional.normalize(normal(4), dim=1)
+    x[1::2] = x[::2] + 2.0 * torch.nn.functional.normalize(normal(3)[1::2], dim=1)
+    v[1::2] += x[::2] - x[1::2]
+    mesh = box((0.5, 0.6, 0.7))
+    scene = pgccd.Scene([mesh], [0] * (2 * count), world=torch.arange(count).repeat_interleave(2))
+    motion = pgccd.RigidMotion.from_velocity(x, q, v, w, 1.0)
+    hits = pgccd.detect(scene, motion, min_separation=0.1, tolerance=1e-10)
+    u, s = hits.coordinates.unbind(1)
+    inside = (torch.minimum(u, s) > 0.01) & (torch.where(hits.kind == pgccd.Kind.EE, torch.maximum(u, s), u + s) < 0.99)
+    seen = {kind: 0 for kind in (pgccd.Kind.VF_AB, pgccd.Kind.VF_BA, pgccd.Kind.EE)}
+    for row in torch.nonzero(inside & (hits.toi > 1e-4) & (hits.toi < 1.0 - 1e-4)).flatten().tolist():
+        kind, toi = int(hits.kind[row]), float(hits.toi[row])
+        at = []
+        for time in (toi - 1e-5, toi + 1e-5):
+            position, orientation = motion[hits.pairs[row]].at(time)
+            corners = mesh.vertices @ _matrices(orientation).transpose(1, 2) + position[:, None]
+            at.append(_distance(mesh, kind, hits.features[row].tolist(), corners))
+        assert float(hits.approach[row]) == pytest.approx((at[0] - at[1]) / 2e-5, rel=1e-4, abs=1e-4), row
+        seen[kind] += 1
+    assert min(seen.values()) > 10, seen
+
+
+def _distance(mesh: pgccd.Mesh, kind: int, features: list[int], corners: Tensor) -> float:
+    """Of the plane of a face from a vertex, or of the lines of two edges; corners (2, V, 3)."""
+    if kind == pgccd.Kind.EE:
+        (a, b), (c, d) = (corners[side, mesh.edges[features[side]].long()] for side in (0, 1))
+        across, between = torch.linalg.cross(b - a, d - c), c - a
+    else:
+        face = 1 if kind == pgccd.Kind.VF_AB else 0
+        a, b, c = corners[face, mesh.faces[features[face]].long()]
+        across, between = torch.linalg.cross(b - a, c - a), corners[1 - face, features[1 - face]] - a
+    return float((across @ between).abs() / across.norm())
+
+
 def test_rates_have_gradients(device: torch.device) -> None:
     scene = pgccd.Scene([pgccd.Mesh.sphere(0.5, 1), CUBE], device=device)
     x = torch.tensor([[0.0, 0, 2.0], [0.1, 0.07, 0]], device=device).double()
@@ -290,6 +333,27 @@ def test_refusals() -> None:
         for ask in (lambda c: c.approach, lambda c: c.approaching()):
             with pytest.raises(ValueError, match="hits: the approach of contacts is known of those"):
                 ask(contacts)
+    in_capacity: Any = pgccd.detect(scene, motion, capacity=Capacity.of(4, 100))
+    for padded in (in_capacity, pgccd.CapturedDetection(scene, motion).replay()):
+        for name in ("approach", "approaching"):
+            with pytest.raises(
+                AttributeError, match=f"PaddedContacts has no '{name}', .*: call `detect` without a cap"
+            ):
+                getattr(padded, name)
+        with pytest.raises(AttributeError, match="'PaddedContacts' object has no attribute 'nothing'"):
+            _ = padded.nothing
+    with pytest.raises(ValueError, match="^normals: captured steps have those of the \"features\", got 'surface'"):
+        pgccd.CapturedDetection(scene, motion, normals="surface")
+    with pytest.raises(TypeError, match="^colour: expected one of "):
+        pgccd.CapturedDetection(scene, motion, colour=1)  # type: ignore[call-overload]
+    room = pgccd.distributed.World.create([CUBE, FLOOR], (-9,) * 3, (9,) * 3, motion.position_t0, mesh_index=[0, 1])
+    of_ranks = room.step(motion)
+    assert len(of_ranks) == 1
+    for ask in (lambda c: c.approach, lambda c: c.approaching()):
+        with pytest.raises(ValueError, match="hits: the approach of contacts is .* not of contacts of ranks"):
+            ask(of_ranks)
+    with pytest.raises(TypeError, match="normals"):
+        pgccd.distributed.World.create([CUBE], (-9,) * 3, (9,) * 3, motion.position_t0, normals="surface")  # type: ignore
     with pytest.raises(AttributeError, match='report: "any" gives pairs without contacts, and no `approach`'):
         _ = pgccd.detect(scene, motion, "any").approach  # type: ignore[attr-defined]
     motion.position_t1[0, 0] += 1.0

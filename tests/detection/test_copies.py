@@ -80,6 +80,51 @@ def test_scenes_meshes_and_motions(copied: Callable[[Any], Any]) -> None:
         pgccd.detect(scene, own)
 
 
+@pytest.mark.parametrize("copied", COPIES)
+def test_approach_of_copies(copied: Callable[[Any], Any]) -> None:
+    """Contacts take along what they were found with, also from columns that had been written before."""
+    scene, motion = step()
+    for path in (motion, trajectory(motion)):
+        motion.position_t0.add_(0.0)
+        hits = pgccd.detect(scene, path)
+        again = copied(hits)
+        assert len(hits) and torch.equal(again.approach, hits.approach)
+        assert_same(again.approaching(), hits.approaching())
+    hits = pgccd.detect(scene, motion)
+    motion.position_t0.add_(0.1)
+    with pytest.raises(RuntimeError, match="motion: was written after `detect`"):
+        _ = copied(hits).approach
+
+
+@pytest.mark.parametrize("copied", COPIES)
+def test_trajectories_and_exclusions(copied: Callable[[Any], Any], device: torch.device) -> None:
+    scene, motion = step(device)
+    path = trajectory(motion)
+    hits = pgccd.detect(scene, path, "all")
+    assert_same(pgccd.detect(copied(scene), copied(path), "all"), hits)
+    assert_same(pgccd.detect(scene.to(device), path.to("cpu").to(device), "all"), hits)
+    without = pgccd.Scene(scene.meshes, exclude=[[1, 0]])
+    some = pgccd.detect(without, path, "all")
+    assert 0 < len(some) < len(hits)
+    for same in (copied(without), without.to(device), pgccd.Scene.from_state_dict(without.state_dict(), device)):
+        assert_same(pgccd.detect(same, path, "all"), some)
+    part = path[[2, 0]]
+    assert part.position.shape == (3, 2, 3) and part.margin is not None and part.margin.shape == (2, 2)
+    assert_same(pgccd.detect(pgccd.Scene(scene.meshes, [0, 1]), path[:2], "all"), hits[hits.pairs[:, 1] < 2])
+    with pytest.raises(IndexError, match="^rows: expected numbers of 3 rows"):
+        path[[3]]
+    with pytest.raises(TypeError, match="^rows: expected a trajectory of rigid bodies"):
+        pgccd.Trajectory(path.position)[:1]
+
+
+def trajectory(motion: pgccd.RigidMotion) -> pgccd.Trajectory:
+    """The motion, and back, with rotations and margins."""
+    ways = torch.stack([motion.position_t0, motion.position_t1, motion.position_t0])
+    turns = torch.stack([motion.rotation, -motion.rotation])
+    margin = torch.full((2, len(motion.rotation)), 0.01, dtype=torch.float64, device=motion.device)
+    return pgccd.Trajectory(ways, motion.orientation_t0, rotation=turns, margin=margin)
+
+
 def test_devices(device: torch.device) -> None:
     scene, motion = step()
     expected = pgccd.detect(scene, motion, "all")
@@ -125,6 +170,10 @@ def test_words() -> None:
     ends = torch.zeros(4, 3)
     hits = pgccd.detect(scene, motion, capacity=pgccd.Capacity.of(3))
     found = [repr(each) for each in (scene, scene.meshes, motion, pgccd.VertexMotion(ends, ends), hits)]
+    assert repr(trajectory(motion)) == "Trajectory(waypoints=3, bodies=3, path='rigid', device=cpu)"
+    assert (
+        repr(pgccd.Trajectory(torch.zeros(2, 7, 3))) == "Trajectory(waypoints=2, vertices=7, path='rigid', device=cpu)"
+    )
     assert found == [
         "Scene(bodies=3, meshes=3, device=cpu)",
         "MeshSet(meshes=3, device=cpu)",

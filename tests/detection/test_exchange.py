@@ -83,6 +83,46 @@ def test_states_of_other_motions(tmp_path: Path, device: torch.device) -> None:
     assert loaded == hits and torch.equal(loaded.first_toi("body"), hits.first_toi("body"))
 
 
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_states_of_trajectories(dtype: torch.dtype, tmp_path: Path, device: torch.device) -> None:
+    """Also of those given in float32, whose orientations and rotations agree only up to its rounding."""
+    scene, motion = scattered(24, device)
+    generator = torch.Generator().manual_seed(3)
+    spin = 4.0 * torch.randn(2, 24, 3, generator=generator, dtype=torch.float64).to(device)
+    ways = torch.stack([motion.position_t0, motion.position_t1, motion.position_t0])
+    turns = pgccd.Trajectory(ways, motion.orientation_t0, rotation=spin).orientation
+    assert turns is not None
+    margin = torch.linspace(0.0, 0.1, 48, dtype=torch.float64, device=device).view(2, 24)
+    ends = torch.randn((3, scene.layout.vertex_count, 3), generator=generator, dtype=torch.float64).to(device)
+    for k, path in enumerate(
+        (
+            pgccd.Trajectory(ways.to(dtype), turns.to(dtype), "linear", rotation=spin.to(dtype), margin=margin),
+            pgccd.Trajectory(ways, turns.to(dtype)),
+            pgccd.Trajectory(ends.to(dtype), margin=margin.to(dtype)),
+        )
+    ):
+        state = saved(path.state_dict(), tmp_path / str(k))
+        again = pgccd.Trajectory.from_state_dict(state)
+        for name in ("position", "orientation", "rotation", "margin"):
+            own, other = getattr(path, name), getattr(again, name)
+            assert (own is None and other is None) or torch.equal(own, other), name
+        assert again.path == path.path and again.device.type == device.type
+        assert_same(pgccd.detect(scene, again, "all"), pgccd.detect(scene, path, "all"))
+    for name, wrong in (
+        ("path", "arc"),
+        ("rounding", 1.0),
+        ("rounding", "no"),
+        ("orientation", turns),
+        ("rotation", spin),
+        ("position", ends.int()),
+        ("margin", -margin),
+    ):
+        with pytest.raises((TypeError, ValueError), match=f"^{name}: "):
+            pgccd.Trajectory.from_state_dict(state | {name: wrong})
+    with pytest.raises(ValueError, match="^state: has no entry 'rounding'"):
+        pgccd.Trajectory.from_state_dict({name: value for name, value in state.items() if name != "rounding"})
+
+
 def test_states_keep_what_files_say() -> None:
     mesh = pgccd.Mesh.box([1.0, 2.0, 3.0])
     mesh.name, mesh.dropped_faces, mesh.source_vertex = "box", 2, torch.arange(8)

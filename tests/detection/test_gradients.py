@@ -284,6 +284,69 @@ def test_second_derivatives_are_refused(device: torch.device) -> None:
             torch.autograd.grad(getattr(hits, name).sum(), x0, create_graph=True)
 
 
+def test_second_derivatives_of_all_entries_are_refused(device: torch.device) -> None:
+    """Also in float32, of trajectories, margins, separations, and elementary tests."""
+    upright, end = UPRIGHT.to(device), END.to(device)
+    turns = torch.stack([upright, upright])
+    points = torch.tensor([[[0.0, 0, 1], [-1, -1, 0], [2, -1, 0], [-1, 2, 0]]], device=device)
+    below = points.clone()
+    below[:, 0, 2] = -1.0
+    crossing = torch.tensor([[[-1.0, 0, 1], [1, 0, 1], [0, -1, 0], [0, 1, 0]]], device=device)
+    across = crossing.clone()
+    across[:, :2, 2] = -1.0
+    for dtype in (torch.float32, torch.float64):
+        x0 = wanting(START.to(device, dtype))
+        ways = wanting(torch.stack([START, END]).to(device, dtype))
+        margin, gap = (wanting(torch.full(size, 0.01, device=device, dtype=torch.float64)) for size in ((2,), ()))
+        hits = pgccd.detect(scene(device), pgccd.RigidMotion(x0, upright, end, upright))
+        along = pgccd.detect(scene(device), pgccd.Trajectory(ways, turns))
+        plain = pgccd.RigidMotion(START.to(device), upright, end, upright)
+        thick = pgccd.detect(scene(device, margin=margin), plain)
+        apart = pgccd.detect(scene(device), plain, min_separation=gap)
+        of_face, of_edges = wanting(points.to(dtype)), wanting(crossing.to(dtype))
+        face = pgccd.narrow.vertex_face(of_face, below.to(dtype))
+        edges = pgccd.narrow.edge_edge(of_edges, across.to(dtype))
+        values = [(each, x0) for each in (hits.approach, hits.first_toi(), hits.first_toi("body"))]
+        values += [(each, ways) for each in (along.toi, along.time, along.point, along.approach, along.first_toi())]
+        values += [(thick.toi, margin), (thick.approach, margin), (apart.toi, gap), (apart.point, gap)]
+        values += [
+            (face.toi, of_face),
+            (face.coordinates, of_face),
+            (edges.toi, of_edges),
+            (edges.coordinates, of_edges),
+        ]
+        for value, given in values:
+            first = value[value.isfinite()].sum()
+            with pytest.raises(NotImplementedError, match="has first derivatives only"):
+                torch.autograd.grad(first, given, create_graph=True)
+
+
+def test_transforms_of_numbers_are_refused() -> None:
+    """Their tangents or samples would be lost without a word."""
+    plain = pgccd.RigidMotion(START, UPRIGHT, END, UPRIGHT)
+    points = torch.rand(3, 4, 3)
+    calls: dict[str, Callable[[Tensor], Tensor]] = {
+        "min_separation": lambda gap: pgccd.detect(scene(), plain, min_separation=gap).first_toi(),
+        "tolerance": lambda gap: pgccd.detect(scene(), plain, tolerance=gap).first_toi(),  # type: ignore[call-overload]
+        "dt": lambda dt: pgccd.RigidMotion.from_velocity(START, UPRIGHT, END, END, dt).position_t1,  # type: ignore[arg-type]
+        "slack": lambda gap: pgccd.detect(scene(), plain).approaching(gap).toi,  # type: ignore[arg-type]
+    }
+    for name, call in calls.items():
+        for transform in (torch.func.grad, torch.func.jacrev, torch.func.jacfwd, torch.func.hessian):
+            with pytest.raises(
+                TypeError, match=f"^{name}: transforms of torch.func are|^{name}: has a tangent|^{name}: torch.vmap"
+            ):
+                transform(lambda value, call=call: call(value).sum())(torch.tensor(0.01, dtype=torch.float64))
+        with pytest.raises(TypeError, match=f"^{name}: torch.vmap is not supported"):
+            torch.vmap(call)(torch.rand(3))
+    with pytest.raises(TypeError, match="^min_separation: "):
+        torch.func.jacfwd(lambda gap: pgccd.narrow.vertex_face(points, points, gap).toi.sum())(torch.tensor(0.01))
+    with pytest.raises(ValueError, match="^slack: requires grad"):
+        pgccd.detect(scene(), plain).approaching(wanting(torch.tensor(0.1)))  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="^margin: requires grad"):
+        pgccd.audit(scene(margin=wanting(torch.tensor([0.1, 0.1]))), [(START, UPRIGHT), (END, UPRIGHT)])
+
+
 def test_transforms_are_refused() -> None:
     def toi(x0: Tensor) -> Tensor:
         motion = pgccd.RigidMotion(x0, UPRIGHT, END, UPRIGHT)
@@ -331,6 +394,43 @@ def test_where_no_gradient_is_computed_it_is_refused() -> None:
         plain.shortened(wanting(torch.tensor(0.5)))
     with pytest.raises(ValueError, match="^orientation: requires grad"):
         pgccd.integrate_orientation(wanting(UPRIGHT), TURN)
+
+
+def test_refusals_name_what_was_passed() -> None:
+    """Not the columns that are made of it."""
+    velocity = torch.zeros_like(START)
+    one = velocity[None]
+    q = torch.stack([UPRIGHT, UPRIGHT])
+    x = torch.stack([START, END])
+    world = pgccd.distributed.World.create(meshes(), (-9.0,) * 3, (9.0,) * 3, START, mesh_index=torch.arange(2))
+    motions: dict[str, Callable[[], Any]] = {
+        "orientation_t1": lambda: pgccd.RigidMotion(START, UPRIGHT, END, wanting(UPRIGHT)),
+        "linear_velocity": lambda: pgccd.RigidMotion.from_velocity(START, UPRIGHT, wanting(END), velocity, 0.1),
+        "angular_velocity": lambda: pgccd.RigidMotion.from_velocity(START, UPRIGHT, END, wanting(velocity), 0.1),
+        "rotation": lambda: pgccd.RigidMotion.from_rotation(START, UPRIGHT, END, wanting(velocity)),
+    }
+    calls: list[Callable[[Any], Any]] = [
+        lambda motion: pgccd.resolve(scene(), motion),
+        lambda motion: pgccd.enclosed(scene(), motion),
+        world.step,
+        lambda motion: world.step(motion, resolve=True),
+    ]
+    for name, make in motions.items():
+        for call in (*calls, lambda motion: pgccd.CapturedDetection(scene(), motion)):
+            with pytest.raises(ValueError, match=rf"^{name}: requires grad.*{name}\.detach\(\)"):
+                call(make())
+    trajectories: dict[str, Callable[[], Any]] = {
+        "position": lambda: pgccd.Trajectory(wanting(x), q),
+        "orientation": lambda: pgccd.Trajectory(x, wanting(q)),
+        "rotation": lambda: pgccd.Trajectory(x, q, rotation=wanting(one)),
+        "margin": lambda: pgccd.Trajectory(x, q, margin=wanting(torch.zeros(1, 2))),
+    }
+    for name, make in trajectories.items():
+        for call in (*calls, lambda motion: pgccd.audit(scene(), motion)):
+            with pytest.raises(ValueError, match=rf"^{name}: requires grad.*{name}\.detach\(\)"):
+                call(make())
+    with pytest.raises(ValueError, match="^rotation: requires grad"):
+        pgccd.Trajectory(x, UPRIGHT, rotation=wanting(one))
 
 
 def test_compiled(device: torch.device) -> None:

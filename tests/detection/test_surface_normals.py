@@ -77,6 +77,25 @@ def test_convex_edges_keep_theirs(kind: Kind, device: torch.device) -> None:
     assert hits == pgccd.detect(scene, motion, normals="surface")
 
 
+def test_tips_keep_theirs(device: torch.device) -> None:
+    """The normal between two tips, which lies inside the cones of both, is that of the vertices."""
+    tip = pgccd.Mesh.sphere(0.5, 0)
+    at = tip.vertices[0] / tip.vertices[0].norm()
+    aside = torch.linalg.cross(at, torch.tensor([0.3, -0.5, 0.2]).double())
+    apart = 1.01 * at + 0.001 * aside
+    q = torch.tensor([[1.0, 0, 0, 0]] * 2, dtype=torch.float64)
+    x = torch.stack([-0.0 * apart, apart])
+    opposite = pgccd.Mesh(-tip.vertices, tip.faces.flip(1))
+    scene = pgccd.Scene([tip, opposite], device=device)
+    motion = pgccd.RigidMotion(x.to(device), q.to(device), (0.9 * x).to(device), q.to(device))
+    of_features, of_surfaces = (
+        pgccd.detect(scene, motion, min_separation=0.005, normals=n) for n in ("features", "surface")
+    )
+    assert len(of_features) == 1 and 0.01 < float(of_features.toi[0]) < 0.9
+    assert float((of_features.normal[0].cpu() - at).norm()) > 0.01
+    assert of_surfaces == of_features
+
+
 def test_first_contacts_of_convex_bodies_have_the_same_normals() -> None:
     random = torch.Generator().manual_seed(3)
     shapes = [CUBE, pgccd.Mesh.sphere(0.6, 1), box((0.8, 0.3, 0.2))]

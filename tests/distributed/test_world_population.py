@@ -211,6 +211,71 @@ def test_checkpoints_know_which_ids_were_used(ranks: RankPool, tmp_path: Path) -
             World.load(tmp_path, crowds()[CROWD].meshes)
 
 
+def excluding(comm: Comm, folder: str) -> tuple[list[list[int]], list[int]]:
+    """Pairs that are never tested, given by several ranks, before and after bodies join and leave: what the world
+    excludes, and how many contacts remain, compared with one process, also of trajectories and after a checkpoint.
+    """
+    crowd, rows = crowds()[CROWD], torch.arange(60)
+    generator = torch.Generator().manual_seed(3)
+    pairs = torch.combinations(rows)[torch.randperm(1770, generator=generator)[:900]].flip(1)
+    mine = rows[rows % comm.size == comm.rank]
+    at_first, later = (
+        each[comm.rank :: comm.size] for each in (pairs[(pairs < 40).all(1)], pairs[(pairs >= 40).any(1)])
+    )
+    q = torch.tensor([[1.0, 0, 0, 0]], dtype=torch.float64).repeat(60, 1)
+    v = torch.randn((60, 3), generator=generator, dtype=torch.float64)
+    world = World.create(
+        crowd.meshes,
+        (0.0,) * 3,
+        (8.0,) * 3,
+        crowd.position[mine[mine < 40]],
+        id=mine[mine < 40],
+        mesh_index=crowd.mesh_index[mine[mine < 40]],
+        exclude=at_first if len(at_first) and comm.rank != 1 else None,
+        comm=comm,
+    )
+    if comm.size > 1:  # what rank 1 did not give
+        world.add(crowd.position[:0], exclude=at_first if comm.rank == 1 else None)
+    new = mine[mine >= 40]
+    world.add(crowd.position[new], id=new, mesh_index=crowd.mesh_index[new], exclude=later)
+    world.remove(torch.tensor([5, 41]))
+    here = rows[(rows != 5) & (rows != 41)]
+    kept = torch.searchsorted(here, pairs[torch.isin(pairs, here).all(1)])
+    of_all = pgccd.Scene(crowd.meshes, crowd.mesh_index[here], exclude=kept)
+    x, counts = crowd.position, []
+    for again in (False, True):
+        if again:
+            world.save(folder)
+            world = World.load(folder, crowd.meshes, comm=comm)
+        assert world.exclude is not None and world.exclude.equal(here[of_all.exclude])
+        own = world.id
+        rigid, motion = (pgccd.RigidMotion(x[k], q[k], x[k] + v[k], q[k]) for k in (here, own))
+        ways, trajectories = (torch.stack([x[k], x[k] + v[k], x[k] - v[k]]) for k in (here, own))
+        turns, own_turns = (q[k].expand(3, -1, -1) for k in (here, own))
+        resolved = pgccd.resolve(of_all, rigid)
+        for expected, found in (
+            (pgccd.detect(of_all, rigid), world.step(motion)),
+            (
+                pgccd.detect(of_all, pgccd.Trajectory(ways, turns)),
+                world.step(pgccd.Trajectory(trajectories, own_turns)),
+            ),
+        ):
+            of_ids = here[expected.pairs]
+            concerns = torch.isin(of_ids, own).any(dim=1)
+            assert found.pairs.equal(of_ids[concerns]) and found.toi.equal(expected.toi[concerns])
+            counts.append(len(expected))
+        stopped = world.step(motion, resolve=True)
+        assert stopped.fraction.equal(resolved.fraction[torch.searchsorted(here, own)])
+    return world.exclude.tolist(), counts
+
+
+def test_pairs_are_excluded_on_any_number_of_ranks(ranks: RankPool, tmp_path: Path) -> None:
+    expected = ranks.run(1, excluding, str(tmp_path / "1"))[0]
+    assert min(expected[1]) > 5 and len(expected[0]) > 700
+    for size in (2, 3):
+        assert ranks.run(size, excluding, str(tmp_path / str(size))) == [expected] * size
+
+
 def run_captured(comm: Comm, graph: bool) -> tuple[list[list[float]], list[tuple[int, int]], int]:
     """Bodies join and leave between runs of a loop; its last state, counts of its steps, and number of replays."""
     columns = start()
@@ -230,6 +295,8 @@ def run_captured(comm: Comm, graph: bool) -> tuple[list[list[float]], list[tuple
         steps += loop.run(9)
         world.add(**given(30, 80, ("margin",)))  # more columns, and more rows than spare ones
         steps += loop.run(9)
+        world.add(**given(0, 0, ("margin",)), exclude=torch.combinations(torch.arange(80))[comm.rank :: comm.size])
+        steps += loop.run(9)  # without contacts
         world.remove(torch.arange(10, 70))
         steps += loop.run(9)
         world.remove(world.id)
@@ -243,6 +310,7 @@ def run_captured(comm: Comm, graph: bool) -> tuple[list[list[float]], list[tuple
 def test_captured_loops_go_on(ranks: RankPool) -> None:
     expected, counts, _ = ranks.run(1, run_captured, False)[0]
     assert len(expected) == 40 and sum(contacts for _, contacts in counts) > 50
+    assert sum(contacts for _, contacts in counts[15:24]) > 9 and counts[24:33] == [(0, 0)] * 9
     for size in (1, 2, 3):
         found, of_steps, replayed = ranks.run(size, run_captured, True)[0]
         assert found == expected and of_steps == counts and replayed > 12
@@ -270,6 +338,10 @@ def mistakes(comm: Comm) -> dict[str, str]:
         "rows": {"payload": payload | {"mass": payload["mass"][:0]}},
         "margin": {"margin": -1.0},
         "vertices": {"vertex_payload": {"x": torch.zeros(len(crowds()[CROWD].meshes[0].vertices), 3)}},
+        "other": {"colour": 3},
+        "excluded": {"exclude": [[0, 99]]},
+        "excluded twice": {"exclude": [[3, 3]]},
+        "dtype of excluded": {"exclude": torch.zeros(1, 2)},
     }
     tries = {name: right | change if last else right for name, change in wrong.items()}
     tries["twice"] = right | {"id": torch.tensor([40])}
@@ -312,6 +384,10 @@ def test_mistakes_are_named_on_all_ranks(ranks: RankPool, size: int) -> None:
         "rows": "payload['mass']: expected a tensor (1, ...) on cpu, got a float64 tensor of shape (0,)",
         "margin": "margin: body 0: expected a finite length >= 0",
         "vertices": "vertex_payload",
+        "other": "colour: expected one of ['id', 'mesh_index', ",
+        "excluded": "exclude: expected ids of bodies of this world, got 99",
+        "excluded twice": "exclude: pair 0: expected two different ids >= 0, got [3, 3]",
+        "dtype of excluded": "exclude: expected integers, pairs of different bodies, shape (E, 2), got torch.float32",
         "twice": "id: 40 is given to more than one body",
         "none": "id: rank 0 has 'not given', rank 2 has 'given'",
         "static": "optional columns: rank 0 has [], rank 2 has ['static']",

@@ -161,6 +161,44 @@ def test_what_rotations_and_margins_cannot_be() -> None:
             pgccd.Trajectory.from_velocity(*start, *given)  # type: ignore[arg-type]
 
 
+def test_turns_and_velocities_out_of_range_are_named() -> None:
+    """By what was passed, not by the orientations and positions that follow from it."""
+    _, x, q = blade_and_post()
+    still, fast = torch.zeros(2, 2, 3), torch.zeros(2, 2, 3, dtype=torch.float64)
+    fast[1, 1, 2] = 3e6
+    spin = r"^angular_velocity: segment 1, body 1: expected a turn of at most 1e\+06 radians .*got \[0.0, 0.0, 1500000"
+    with pytest.raises(ValueError, match=spin):
+        pgccd.Trajectory.from_velocity(x, q, still, fast, 0.5)
+    quick = pgccd.Trajectory.from_velocity(x, q, still, fast, 0.25)
+    assert quick.rotation is not None and float(quick.rotation.amax()) == 7.5e5
+    with pytest.raises(ValueError, match=r"^rotation: segment 1, body 1: expected a turn of at most 1e\+06 radians"):
+        pgccd.Trajectory(x.expand(3, -1, -1), q, rotation=fast)
+    far = r"^linear_velocity: position after segment 1, body 1: expected finite numbers .*got \[0.0, 1.5, .*e\+151\]"
+    with pytest.raises(ValueError, match=far):
+        pgccd.Trajectory.from_velocity(x, q, 1e142 * fast, still, 1e3)
+    turn = torch.tensor([[1.0, 0, 0], [1e6, 1.0, 0]], dtype=torch.float64)
+    with pytest.raises(ValueError, match=r"^rotation: body 1: expected a turn of at most 1e\+06 radians"):
+        pgccd.integrate_orientation(q, turn)
+    for rotation in (torch.tensor([[0.0, 0, torch.nan]] * 2), torch.tensor([[0.0, 0, torch.inf]] * 2)):
+        with pytest.raises(ValueError, match="^rotation: body 0"):
+            pgccd.integrate_orientation(q, rotation)
+    for wrong in (torch.zeros(2, 4), torch.full((2, 4), torch.nan)):
+        with pytest.raises(ValueError, match="^orientation: body 0: expected a unit quaternion"):
+            pgccd.integrate_orientation(wrong, turn[:1].expand(2, -1))
+
+
+def test_segment_numbers_are_integers() -> None:
+    _, x, q = blade_and_post()
+    trajectory = pgccd.Trajectory(torch.stack([x, x]), torch.stack([q, q]))
+    assert trajectory.segment(np.int64(0)).body_count == 2  # type: ignore[arg-type, union-attr]
+    for wrong in (0.5, "0", None, True, torch.tensor([0])):
+        with pytest.raises(TypeError, match=r"^index: expected a segment in \[0, 1\), got"):
+            trajectory.segment(wrong)  # type: ignore[arg-type]
+    for beyond in (-1, 1, 10**400):
+        with pytest.raises(IndexError, match=r"^index: expected a segment in \[0, 1\), got"):
+            trajectory.segment(beyond)
+
+
 def test_thousands_of_trajectories_in_one_call(device: torch.device) -> None:
     """Each in a world of its own: the first contact of each pair, and the first time of each trajectory."""
     count, waypoints = 4000, 9

@@ -115,7 +115,7 @@ def test_turns_of_more_than_half_a_revolution(device: torch.device, dtype: torch
 def test_random_scenes(device: torch.device) -> None:
     """Nothing outside the lists touches on the segments, which begin where the ones before have ended."""
     seen = dict.fromkeys(("stopped", "later", "listed"), 0)
-    for seed in range(120):
+    for seed in range(160):
         made = random_scene(seed)
         if "trajectory" not in made.kind:
             continue

@@ -256,6 +256,18 @@ def test_values_of_joints_that_are_too_large(tmp_path: Path) -> None:
         robot.trajectory(q[1])
 
 
+def test_turns_that_are_too_long(tmp_path: Path) -> None:
+    """The first parts of a segment are as many as its radians: too many are invalid in their environment alone."""
+    hinge = Part("revolute", UPRIGHT, UPRIGHT, (0, 0, 1), half=(0.1, 0.1, 0.1))
+    robot = loaded(Arm([hinge]), tmp_path)
+    q = torch.zeros(4, 3, 1, dtype=torch.float64)
+    q[1, 2], q[2, 1:], q[3, 1], q[3, 2] = 1e4, 9.9e3, -6e3, 6e3
+    found = robot.certify(q)
+    assert found.verdict.tolist() == [Verdict.FREE, Verdict.INVALID, Verdict.FREE, Verdict.INVALID]
+    assert found.time[found.verdict == Verdict.INVALID].tolist() == [0.0, 0.0] and found.steps < 20_000
+    same(robot.certify(q[2:3]), found, 2)
+
+
 def test_arrays_and_gradients(tmp_path: Path) -> None:
     """Arrays of NumPy are taken; what requires grad is refused where no gradient is computed."""
     robot = loaded(beams(2), tmp_path)

@@ -40,9 +40,10 @@ class RandomScene:
     filters: dict[str, Tensor]  #: optional columns of the scene
     poses: list[Tensor]  #: rows of bodies, or of vertices, along the last dimension but one
     arguments: dict[str, Any]
+    exclude: Tensor | None  #: (E, 2) pairs of bodies that are never tested
 
     def scene(self, device: torch.device | str = "cpu") -> pgccd.Scene:
-        return pgccd.Scene(self.meshes, self.mesh_index, device, **self.filters)
+        return pgccd.Scene(self.meshes, self.mesh_index, device, **self.filters, exclude=self.exclude)
 
     def motion(self, device: torch.device | str = "cpu", bodies: Tensor | None = None) -> Any:
         """The motion of some of the bodies, or of all."""
@@ -63,6 +64,7 @@ class RandomScene:
 
     def __str__(self) -> str:
         filters = "".join(f", {name}" for name in self.filters)
+        filters += "" if self.exclude is None else f", {len(self.exclude)} excluded pairs"
         arguments = ", ".join(f"{name}={value!r}" for name, value in self.arguments.items())
         return f"seed {self.seed}: {len(self.mesh_index)} bodies, {self.layout}, {self.kind}{filters}; {arguments}"
 
@@ -132,7 +134,17 @@ def random_scene(seed: int) -> RandomScene:
         filters,
         [torch.tensor(column) for column in poses],
         arguments,
+        _excluded(np.random.default_rng([seed, 2]), count),
     )
+
+
+def _excluded(rng: np.random.Generator, count: int) -> Tensor | None:
+    """Some pairs of bodies in any order, some of them twice; for a third of the scenes."""
+    if rng.integers(3):
+        return None
+    pairs = np.array([(i, j) for i in range(count) for j in range(count) if i != j]).reshape(-1, 2)
+    pairs = rng.permutation(pairs[rng.uniform(size=len(pairs)) < rng.choice([0.0, 0.1, 0.3, 1.0])])
+    return torch.tensor(pairs)
 
 
 def _mesh(rng: np.random.Generator, layout: str) -> pgccd.Mesh:

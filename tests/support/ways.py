@@ -187,6 +187,9 @@ def world_of(comm: Comm, scene: RandomScene, device: str) -> World:
     position, count = scene.position(), len(scene.mesh_index)
     mine = torch.nonzero(torch.randint(comm.size, (count,), generator=generator) == comm.rank)[:, 0].flip(0)
     by_cells = scene.seed % 2 == 0
+    exclude = None
+    if scene.exclude is not None and (comm.rank or comm.size == 1):  # the pairs of all ranks count
+        exclude = _id_of(scene.exclude).to(device)[max(0, comm.rank - 1) :: max(1, comm.size - 1)]
     world = World.create(
         scene.meshes,
         tuple((position.amin(dim=0) - 1.0).tolist()),
@@ -201,6 +204,7 @@ def world_of(comm: Comm, scene: RandomScene, device: str) -> World:
         overlap=scene.seed % 3 == 0,
         **({"cells": 3} if by_cells else {}),
         **{name: column[mine].to(device) for name, column in scene.filters.items()},
+        exclude=exclude,
         **scene.arguments,
     )
     if by_cells:

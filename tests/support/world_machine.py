@@ -16,7 +16,7 @@ from support.shapes import tetrahedron
 
 Columns = dict[str, Tensor]
 # Of the machine, from one run to the next.
-_KEPT = ("deforming", "options", "partition", "cells", "next_id", "table", "steps_made")
+_KEPT = ("deforming", "options", "partition", "cells", "next_id", "table", "steps_made", "exclude")
 SIDE = 4.0
 DEFAULTS: dict[str, tuple[Any, torch.dtype]] = {
     "group": (-1, torch.int64),
@@ -48,7 +48,7 @@ class Machine:
 
     def __init__(self, comm: Comm, seed: int, folder: str | None = None, resume: dict[str, Any] | None = None) -> None:
         self.comm, self.seed = comm, seed
-        self.rng = np.random.default_rng(seed)
+        self.rng, self.excluding = np.random.default_rng(seed), np.random.default_rng([seed, 1])
         rng = self.rng
         if resume is None:
             self.deforming = bool(rng.integers(3) == 0)
@@ -65,13 +65,14 @@ class Machine:
             count = int(rng.choice([0, 1, 2, 12, 24]))
             self.table = self.new(count, self.optional())
             ids = self.new_ids(count) if rng.integers(2) else None
+            self.exclude = torch.zeros((0, 2), dtype=torch.int64)
             self.world = self.create(ids)
         else:
             assert folder is not None
             for name in _KEPT:
                 setattr(self, name, resume[name])
             self.world = World.load(folder, MESHES, comm=comm, balance=self.balance(), **self.options)
-        self.counts = dict.fromkeys(("contacts", "stopped", "rounds", "touching", "unresolved"), 0)
+        self.counts = dict.fromkeys(("contacts", "stopped", "rounds", "touching", "unresolved", "excluded"), 0)
         self.check()
 
     def state(self) -> dict[str, Any]:
@@ -173,6 +174,18 @@ class Machine:
             given["id"] = ids[rows]
         return given
 
+    def more_excluded(self, ids: Tensor) -> Tensor | None:
+        """Pairs of bodies of these ids that are never tested from now on; this rank's share of them, or None."""
+        rng = self.excluding
+        share = rng.choice([0.0, 0.0, 0.0, 0.05, 0.4])
+        pairs = torch.combinations(ids[torch.tensor(rng.permutation(len(ids)), dtype=torch.int64)])
+        pairs = pairs[torch.tensor(rng.uniform(size=len(pairs)) < share)]
+        owner = torch.tensor(rng.integers(self.comm.size, size=len(pairs)))
+        self.exclude = torch.cat([self.exclude, pairs.sort(dim=1).values]).unique(dim=0)
+        mine = pairs[owner == self.comm.rank]
+        with_none = bool(rng.integers(2))
+        return mine if len(mine) or with_none else None
+
     def passed(self, count: int, ids: Tensor | None) -> tuple[Tensor, Tensor]:
         """This rank's rows of new bodies; and the ids of all."""
         share = self.shares(count)
@@ -197,6 +210,7 @@ class Machine:
             partition=self.partition,
             balance=self.balance(),
             overlap=bool(self.rng.integers(2)),
+            exclude=self.more_excluded(given),
             **cells,
             **arguments,
             **self.options,
@@ -217,7 +231,8 @@ class Machine:
         if ids is not None and count and self.rng.integers(2):
             columns["position"][:] = columns["position"][:1]  # all at one place
         mine, given = self.passed(count, ids)
-        got = self.world.add(columns["position"][mine], **self.arguments(columns, mine, ids))
+        exclude = self.more_excluded(torch.cat([self.table["id"], given]))
+        got = self.world.add(columns["position"][mine], exclude=exclude, **self.arguments(columns, mine, ids))
         assert got.equal(given[mine]), (got, given[mine])
         columns["id"] = given
         self.table = {name: torch.cat([column, columns[name]]) for name, column in self.table.items()}
@@ -233,6 +248,7 @@ class Machine:
         mine = id[gone & (asks == self.comm.rank).any(dim=0)]
         self.world.remove(torch.cat([mine, mine[:1]]))
         self.table = {name: column[~gone] for name, column in self.table.items()}
+        self.exclude = self.exclude[~torch.isin(self.exclude, id[gone]).any(dim=1)]
         return f"remove {int(gone.sum())}"
 
     # --- checks
@@ -253,6 +269,8 @@ class Machine:
         assert world.next_id == self.next_id, (world.next_id, self.next_id)
         assert (world.partition.owner_of(world.position) == self.comm.rank).all()
         assert world.steps_made == self.steps_made
+        excluded = self.exclude[:0] if world.exclude is None else world.exclude
+        assert same_bits(excluded, self.exclude), (excluded, self.exclude)
         rows = self.rows()
         assert same_bits(world.position, table["position"][rows])
         for name, column in world.payload.items():
@@ -275,6 +293,7 @@ class Machine:
     def scene(self) -> pgccd.Scene:
         table = self.table
         filters = {name: table[name] for name in DEFAULTS}
+        filters["exclude"] = torch.searchsorted(table["id"], self.exclude)
         filters["margin"] = table["margin"]
         if not self.deforming:
             filters.pop("self_collision")
@@ -347,6 +366,7 @@ class Machine:
                 first = first.clamp(max=time.amin())
             assert same_bits(self.world.first_toi(hits), first[self.rows()])
         self.counts["contacts"] += len(whole.pairs)
+        self.counts["excluded"] += len(self.exclude)
 
     def sums(self, hits: Any) -> None:
         """`sum_per_body` of values that follow from each row, against sums term by term."""

@@ -9,6 +9,7 @@ from pgccd.detection import broad, narrow
 from pgccd.detection.checks import Initial, check_separation, operator_tolerance
 from pgccd.detection.memory import CapacityEstimate
 from pgccd.detection.query import Query
+from pgccd.distributed.detection.excluded import Excluded
 
 
 @dataclass(frozen=True)
@@ -25,6 +26,8 @@ class SearchOptions:
     initial: Initial = "report"
     #: Whether passes have the pairs for rounds of resolution: `SearchPass.swept_pairs`.
     at_any_times: bool = False
+    #: Pairs that are never tested, equal on all ranks.
+    excluded: Excluded | None = None
 
     def check(self) -> None:
         """Raises TypeError or ValueError, naming the option, if one is invalid."""

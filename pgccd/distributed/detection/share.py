@@ -20,7 +20,7 @@ from pgccd import ops
 from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.broad import select_rows
 from pgccd.detection.contacts import CollidingPairs, Contacts
-from pgccd.detection.passes import PASS_SLACK, SearchPass, contacts_of_step, find_pass, first_contacts_of
+from pgccd.detection.passes import PASS_SLACK, SearchPass, Select, contacts_of_step, find_pass, first_contacts_of
 from pgccd.distributed.comm.exchange import Columns
 from pgccd.distributed.detection.options import PassEstimates, SearchOptions
 from pgccd.distributed.halo.ghosts import Halo
@@ -166,7 +166,7 @@ def search_share(
             bodies,
             options.query,
             options.broad_phase,
-            select=None if changed is None else partial(_with_changed, changed),
+            select=_selecting(options, own["id"], changed),
             discard=discard,
             estimate=estimates.own,
             slack=slack,
@@ -204,6 +204,7 @@ def search_share(
                 both = Vertices.join(vertices, ghost_vertices).take(rows)
             at_boundary = _at_boundary(bodies, ghosts, rows, both, is_padded=not synchronises)
 
+            id_of_rows = torch.cat([held.id, held.id.new_full((1,), -1)])[rows]
             of_rows = None
             if changed is not None:
                 of_rows = torch.cat([changed, held.ghosts["changed"], changed.new_zeros(1)])[rows]
@@ -211,7 +212,8 @@ def search_share(
             def owned(pairs: Tensor) -> tuple[Tensor, Tensor]:
                 spheres = at_boundary.swept_spheres
                 found = ops.owned_pairs(pairs, rows, held.id, spheres, *distances, halo.reach, frame, owner, rank)
-                return found if of_rows is None else _with_changed(of_rows, found[0])
+                select = _selecting(options, id_of_rows, of_rows)
+                return found if select is None else select(found[0])
 
             with_ghosts = find_pass(
                 at_boundary,
@@ -262,6 +264,16 @@ def _at_boundary(
         _leave_out(columns, rows < 0)
     columns |= {} if vertices is None else vertices.columns
     return MovingBodies.of_columns(bodies.scene.meshes, columns, bodies.linear_path)
+
+
+def _selecting(options: SearchOptions, id: Tensor, changed: Tensor | None) -> Select | None:
+    """Leaves out pairs of rows with these ids (N,) that are excluded, or in which no body has changed (N,)."""
+    excluded = options.excluded
+    if excluded is None:
+        return None if changed is None else partial(_with_changed, changed)
+    if changed is None:
+        return partial(excluded.leave_out, id)
+    return lambda pairs: excluded.leave_out(id, _with_changed(changed, pairs)[0])
 
 
 def _with_changed(changed: Tensor, pairs: Tensor) -> tuple[Tensor, Tensor]:

@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from pgccd import arguments
 from pgccd.distributed.partition.cells import Cells
 
 Policy = Literal["cost", "measured", "one-cell", "none"]
@@ -44,7 +45,7 @@ class BalanceOptions:
         every: steps between decisions.
 
     Raises:
-        ValueError: naming the field.
+        TypeError, ValueError: naming the field.
     """
 
     policy: Policy = "cost"
@@ -58,16 +59,16 @@ class BalanceOptions:
     every: int = 1
 
     def __post_init__(self) -> None:
-        if self.policy not in POLICIES:
-            raise ValueError(f"policy: expected one of {list(POLICIES)}, got {self.policy!r}")
+        arguments.choice(self.policy, "policy", POLICIES)
         for name in ("threshold", "start", "goal", "moving", "deciding"):
-            if not 0.0 <= getattr(self, name) < float("inf"):
-                raise ValueError(f"{name}: expected a finite number >= 0, got {getattr(self, name)}")
+            value = arguments.number(getattr(self, name), name, "a finite number >= 0")
+            if not 0.0 <= value < float("inf"):
+                raise ValueError(f"{name}: expected a finite number >= 0, got {value}")
+            object.__setattr__(self, name, value)
         if self.goal > self.start:
             raise ValueError(f"goal: expected at most start = {self.start}, got {self.goal}")
         for name in ("horizon", "most_moves", "every"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name}: expected at least 1, got {getattr(self, name)}")
+            object.__setattr__(self, name, arguments.integer(getattr(self, name), name, 1, "an integer >= 1"))
 
     def applies(self, steps_made: int, ranks: int) -> bool:
         """Whether to decide again after `steps_made` steps, among `ranks` ranks."""

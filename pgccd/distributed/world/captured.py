@@ -211,7 +211,8 @@ class CapturedWorld(RankSteps[WorldStep, _Committed, "_WorldGraph"]):
 
     def _fits(self, graph: _WorldGraph) -> bool:
         # Bodies that were added may have brought columns; all ranks have the same.
-        return graph.columns.keys() == self._columns.keys() and super()._fits(graph)
+        is_same = graph.columns.keys() == self._columns.keys() and graph.excluded is self._world.options.excluded
+        return is_same and super()._fits(graph)
 
     def _try_to_capture(self, index: int) -> _WorldGraph | None:
         # There is no body whose columns could be padding.
@@ -261,6 +262,7 @@ class _WorldGraph(TransactionGraph[_Committed]):
     ) -> None:
         super().__init__(world.columns, index, padding, rows)
         self._world, self._motion, self._response = world, motion, response
+        self.excluded = world.options.excluded
         self._decomposition, self._sizes = decomposition, sizes
 
     def _step(self) -> Tensor:

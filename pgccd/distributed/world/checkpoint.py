@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import torch
 
@@ -23,6 +23,7 @@ from pgccd.distributed.launch.agreement import on_first, require_agreement, toge
 from pgccd.distributed.partition.balance import BalanceOptions
 from pgccd.distributed.partition.cut import Cut
 from pgccd.distributed.partition.interface import Partition
+from pgccd.distributed.world.options import NewBodies
 from pgccd.distributed.world.state import WorldState, state_given
 from pgccd.geometry.digest import meshes_digest
 from pgccd.geometry.mesh import Mesh, MeshSet
@@ -30,6 +31,7 @@ from pgccd.geometry.scene import OPTIONAL_COLUMNS
 
 KIND = "world"
 _BODIES, _VERTICES, _COUNT = "bodies", "vertices", "vertex_count"
+_EXCLUDE, _PAIR = "exclude", "pair"
 _REQUIRED = ("id", "mesh_index", "position")
 _KNOWN = (*_REQUIRED, *OPTIONAL_COLUMNS, "self_collision", _COUNT)
 
@@ -42,6 +44,8 @@ def save_state(comm: Comm, folder: str | PathLike[str], state: WorldState, keep:
     tables = {_BODIES: state.columns}
     if state.vertices is not None:
         tables[_VERTICES] = state.vertices.columns
+    if state.exclude is not None:
+        tables[_EXCLUDE] = {_PAIR: state.exclude[comm.rank :: comm.size]}
     cut = {"partition": state.cut.partition, "axes": int(state.cut.axes), "cells": state.cut.cells}
     cut |= {"lower": [float(x) for x in state.cut.lower], "upper": [float(x) for x in state.cut.upper]}
     header = {"meshes": meshes_digest(state.meshes.meshes), "cut": cut, "next_id": state.next_id}
@@ -77,30 +81,23 @@ def load_state(
     partition = load_partition(comm, stored, uniform)
     ragged = (_COUNT, _VERTICES) if _VERTICES in stored.layout else None
     found = load_share(comm, stored, _BODIES, ragged)
+    exclude = load_share(comm, stored, _EXCLUDE)[_EXCLUDE][_PAIR] if _EXCLUDE in stored.layout else None
     where = mesh_set.device
     columns = {name: column.to(where) for name, column in found[_BODIES].items()}
     of_vertices = {name: column.to(where) for name, column in found.get(_VERTICES, {}).items()}
 
     def check() -> WorldState:
-        optional = {name: columns[name] for name in OPTIONAL_COLUMNS if name in columns}
-        if "static" in optional:
-            optional["static"] = optional["static"].to(torch.bool)
-        return state_given(
-            comm.size,
-            mesh_set.meshes,
-            _cut(stored),
-            balance,
-            columns["position"],
-            id=columns["id"],
-            mesh_index=columns["mesh_index"],
-            self_collision=columns.get("self_collision", False),
-            optional=optional,
-            payload={name[1:]: column for name, column in columns.items() if name.startswith(".")},
-            vertex_payload={name[1:]: column for name, column in of_vertices.items()},
-        )
+        bodies: dict[str, Any] = {name: columns[name] for name in (*_REQUIRED, *OPTIONAL_COLUMNS) if name in columns}
+        position = bodies.pop("position")
+        if "static" in bodies:
+            bodies["static"] = bodies["static"].to(torch.bool)
+        bodies["self_collision"] = columns.get("self_collision", False)
+        bodies["payload"] = {name[1:]: column for name, column in columns.items() if name.startswith(".")}
+        bodies["vertex_payload"] = {name[1:]: column for name, column in of_vertices.items()}
+        return state_given(comm.size, mesh_set.meshes, _cut(stored), balance, position, cast(NewBodies, bodies))
 
     try:
-        state = together(comm, check).with_ids(comm, are_given=True)
+        state = together(comm, check).with_ids(comm, are_given=True).with_excluded(comm, exclude)
     except (TypeError, ValueError) as error:
         raise CheckpointError(f"{stored.folder} is not the checkpoint of a world: {error}") from error
     if next_id < state.next_id:
@@ -121,9 +118,10 @@ def _stored(folder: Path, index: Index | None) -> Stored:
     stored = Stored(folder, KIND, index)
     names = stored.layout.get(_BODIES, {})
     missing = [name for name in _REQUIRED if name not in names]
+    missing += [_PAIR] if _EXCLUDE in stored.layout and _PAIR not in stored.layout[_EXCLUDE] else []
     missing += [_COUNT] if _VERTICES in stored.layout and _COUNT not in names else []
     unknown = [name for name in names if name not in _KNOWN and not name.startswith(".")]
-    if missing or unknown or not set(stored.layout) <= {_BODIES, _VERTICES}:
+    if missing or unknown or not set(stored.layout) <= {_BODIES, _VERTICES, _EXCLUDE}:
         problem = f"without {missing}" if missing else f"with unknown columns {unknown} or tables"
         raise CheckpointError(f"{stored.folder} is not the checkpoint of a world: {problem}")
     return stored

@@ -63,6 +63,7 @@ def motion_facts(motion: Any, path: str, meshes: MeshSet, mesh_index: Tensor) ->
     if not isinstance(motion, (RigidMotion, VertexMotion, Trajectory)):
         kinds = "a pgccd.RigidMotion, VertexMotion or Trajectory"
         raise TypeError(f"motion: expected {kinds}, got {arguments.describe(motion)}")
+    motion._refuse_gradient()
     facts: dict[str, Any] = {"motion": type(motion).__name__}
     deforms = isinstance(motion, VertexMotion)
     if isinstance(motion, Trajectory):
@@ -105,6 +106,20 @@ def require_ids(ids: Tensor, device: torch.device) -> None:
         raise TypeError(f"ids: expected an int64 tensor, got {arguments.describe(ids)}")
     if ids.device != device:
         raise ValueError(f"ids: expected them on {device}, got {ids.device}")
+
+
+def from_all_ranks(comm: Comm, values: Tensor) -> Tensor:
+    """The int64 values (M,) of all ranks, one rank after the other."""
+    everything = torch.arange(len(values), device=values.device).repeat(comm.size)
+    destination = torch.arange(comm.size, device=values.device).repeat_interleave(len(values))
+    return make_route(comm, everything, destination).forward({"values": values}).wait()["values"]
+
+
+def unknown_ids(comm: Comm, own: Tensor, asked: Tensor) -> Tensor:
+    """Those of the ids (M,), the same on all ranks, that no rank owns; `own` (N,) may be in any order."""
+    if not len(asked):
+        return asked
+    return asked[comm.sum(torch.isin(asked, own).to(torch.int64)) == 0]
 
 
 # Names of arguments of `World.move`.

@@ -1,5 +1,6 @@
-"""Keyword arguments of `World.create` and `World.load`, for type checkers."""
+"""Keyword arguments of `World.create`, `World.load` and `World.add`."""
 
+from collections.abc import Sequence
 from typing import Literal, TypedDict
 
 from torch import Tensor
@@ -26,8 +27,8 @@ class WorldOptions(TypedDict, total=False):
     overlap: bool
 
 
-class NewWorld(WorldOptions, total=False):
-    """Of `World.create`."""
+class NewBodies(TypedDict, total=False):
+    """Of `World.create` and `World.add`; of those that are left out see `World.create`."""
 
     id: Tensor | None
     mesh_index: Tensor | None
@@ -36,9 +37,22 @@ class NewWorld(WorldOptions, total=False):
     world: Tensor | None
     static: Tensor | None
     margin: Tensor | float | None
+    exclude: Tensor | Sequence[Sequence[int]] | None
     self_collision: Tensor | bool
     payload: dict[str, Tensor] | None
     vertex_payload: dict[str, Tensor] | None
+
+
+class NewWorld(NewBodies, WorldOptions, total=False):
+    """Of `World.create`."""
+
     partition: Literal["auto", "cells", "bisection"]
     axes: int
     cells: int | Triple
+
+
+def require_known(bodies: NewBodies) -> None:
+    """Raises TypeError for a name that is no argument."""
+    for name in bodies:
+        if name not in NewBodies.__annotations__:
+            raise TypeError(f"{name}: expected one of {list(NewBodies.__annotations__)}")

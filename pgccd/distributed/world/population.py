@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 import torch
 from torch import Tensor
 
 from pgccd import arguments
-from pgccd.distributed.comm.exchange import Columns, make_route, pack, replace_rows
+from pgccd.distributed.comm.exchange import Columns, pack, replace_rows
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.detection.report import rows_of_own
 from pgccd.distributed.guard import of_all_ranks
 from pgccd.distributed.halo.vertices import Vertices
 from pgccd.distributed.launch.agreement import require_agreement, together
-from pgccd.distributed.world.columns import require_ids, require_positions
+from pgccd.distributed.world.columns import from_all_ranks, require_ids, require_positions, unknown_ids
+from pgccd.distributed.world.options import NewBodies, require_known
 from pgccd.distributed.world.state import WorldState, bodies_given
 
 # Values and dtypes of optional columns of bodies for which none is given: those of `pgccd.Scene`.
@@ -30,16 +29,13 @@ _DEFAULTS: dict[str, tuple[float, torch.dtype]] = {
 }
 
 
-def with_more(
-    comm: Comm, state: WorldState, position: Tensor, id: Tensor | None, given: Mapping[str, Any]
-) -> tuple[WorldState, Tensor]:
+def with_more(comm: Comm, state: WorldState, position: Tensor, bodies: NewBodies) -> tuple[WorldState, Tensor]:
     """A world with more bodies, which are on the ranks that passed them; see `World.add`.
 
     Args:
         comm: between the ranks.
         state: of the world.
-        position, id: of this rank's share of the new bodies.
-        given: other arguments of `bodies_given`.
+        position, bodies: of this rank's share of the new bodies.
 
     Returns:
         The state, and the ids of the new bodies of this rank, (M,) int64, in the order of `position`.
@@ -48,10 +44,13 @@ def with_more(
         TypeError, ValueError: naming the argument; on all ranks.
     """
 
+    id = bodies.get("id")
+
     def check() -> tuple[Columns, Vertices | None]:
+        require_known(bodies)
         positions = require_positions(position)
         arguments.shape(positions, "position", ("M", 3), state.columns["id"].device)
-        columns, vertices = bodies_given(state.meshes, positions, id=id, **given)
+        columns, vertices = bodies_given(state.meshes, positions, bodies)
         if id is not None and len(id) and int(id.min()) < state.next_id:
             expected = f"new ids, from {state.next_id} on (smaller ones may have been used)"
             raise ValueError(f"id: expected {expected}, got {int(id.min())}")
@@ -72,7 +71,7 @@ def with_more(
     if state.vertices is not None and new.vertices is not None:
         order = torch.argsort(torch.cat([former["id"], added["id"]]))
         both = Vertices.join(state.vertices, new.vertices).take(order)
-    return replace(new, columns=joined, vertices=both), added["id"]
+    return replace(new, columns=joined, vertices=both).with_excluded(comm, bodies.get("exclude")), added["id"]
 
 
 def without(comm: Comm, state: WorldState, ids: Tensor) -> WorldState:
@@ -96,9 +95,9 @@ def without(comm: Comm, state: WorldState, ids: Tensor) -> WorldState:
     together(comm, check)
     mine = rows_of_own(own, ids)
     # Few ids are those of bodies of other ranks, usually: all ranks look for them.
-    asked = _of_all(comm, ids[mine < 0].unique())
+    asked = from_all_ranks(comm, ids[mine < 0].unique())
     theirs = rows_of_own(own, asked)
-    unknown = asked[comm.sum((theirs >= 0).to(torch.int64)) == 0] if len(asked) else asked
+    unknown = unknown_ids(comm, own, asked)
     if len(unknown):
         raise of_all_ranks(ValueError(f"ids: expected ids of bodies of this world, got {int(unknown.min())}"))
     removed = torch.cat([mine[mine >= 0], theirs[theirs >= 0]]).unique()
@@ -108,7 +107,11 @@ def without(comm: Comm, state: WorldState, ids: Tensor) -> WorldState:
         stays = torch.ones(len(own), dtype=torch.bool, device=own.device)
         stays[removed] = False
         vertices = vertices.take(torch.nonzero(stays)[:, 0])
-    return replace(state, columns=kept, vertices=vertices)
+    state = replace(state, columns=kept, vertices=vertices)
+    if state.exclude is None:
+        return state
+    gone = from_all_ranks(comm, own[removed])
+    return state.without_excluded(gone)
 
 
 def _require_payload(new: Columns, former: Columns, argument: str) -> None:
@@ -141,10 +144,3 @@ def _merged(columns: Columns, removed: Tensor, more: Columns, rows: Tensor) -> C
     id_first = {"id": columns["id"], **columns}
     changed = replace_rows(id_first, removed, pack({name: more[name] for name in id_first}, rows))
     return {name: changed[name] for name in columns}
-
-
-def _of_all(comm: Comm, ids: Tensor) -> Tensor:
-    """The ids (M,) of all ranks, in the same order on each."""
-    everything = torch.arange(len(ids), device=ids.device).repeat(comm.size)
-    destination = torch.arange(comm.size, device=ids.device).repeat_interleave(len(ids))
-    return make_route(comm, everything, destination).forward({"id": ids}).wait()["id"]

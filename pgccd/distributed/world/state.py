@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -23,15 +23,19 @@ from pgccd.distributed.partition.cut import Cut
 from pgccd.distributed.partition.interface import Partition
 from pgccd.distributed.world.columns import (
     LARGEST_ID,
+    from_all_ranks,
     ids_given,
     payload_columns,
     require_different,
     require_positions,
     require_unique,
+    unknown_ids,
 )
+from pgccd.distributed.world.options import NewBodies
+from pgccd.geometry.columns import pairs_never_tested
 from pgccd.geometry.digest import meshes_digest
 from pgccd.geometry.mesh import Mesh, MeshSet
-from pgccd.geometry.scene import Scene
+from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
 from pgccd.motion.paths import PATHS
 
 
@@ -47,6 +51,7 @@ class WorldState:
     steps_made: int = 0
     dtype: str = "float64"  #: of the positions as they were given
     next_id: int = 0  #: larger than all ids that bodies have had
+    exclude: Tensor | None = None  #: (E, 2) ids i < j, sorted: pairs never tested, of all ranks; None without any
 
     def with_ids(self, comm: Comm, are_given: bool) -> WorldState:
         """This state with unique ids; ids that were not given become consecutive from `next_id` on, rank by rank.
@@ -68,27 +73,43 @@ class WorldState:
         next_id = max(self.next_id, 1 - int(comm.min(torch.tensor([-largest]))))
         return replace(self, columns=self.columns | {"id": id}, next_id=next_id)
 
+    def with_excluded(self, comm: Comm, given: Any) -> WorldState:
+        """This state with more pairs that are never tested: those that any rank gives; None for none.
+
+        Raises:
+            TypeError, ValueError: naming the argument `exclude`; on all ranks.
+        """
+        if not comm.any(given is not None):
+            return self
+        own = self.columns["id"]
+
+        def check() -> Tensor:
+            return pairs_never_tested([] if given is None else given, None, own.device)
+
+        pairs = from_all_ranks(comm, together(comm, check).flatten()).view(-1, 2)
+        unknown = unknown_ids(comm, own, pairs.unique())
+        if len(unknown):
+            raise of_all_ranks(ValueError(f"exclude: expected ids of bodies of this world, got {int(unknown.min())}"))
+        if self.exclude is not None:
+            pairs = torch.cat([self.exclude, pairs])
+        return replace(self, exclude=pairs.unique(dim=0) if len(pairs) else None)
+
+    def without_excluded(self, removed: Tensor) -> WorldState:
+        """This state without pairs of removed ids."""
+        if self.exclude is None:
+            return self
+        pairs = self.exclude[~torch.isin(self.exclude, removed).any(dim=1)]
+        return replace(self, exclude=pairs if len(pairs) else None)
+
 
 def state_given(
-    ranks: int,
-    meshes: Sequence[Mesh],
-    cut: Cut,
-    balance: BalanceOptions,
-    position: Tensor,
-    *,
-    id: Tensor | None,
-    mesh_index: Tensor | None,
-    self_collision: Tensor | bool,
-    optional: Mapping[str, Tensor | None],
-    payload: dict[str, Tensor] | None,
-    vertex_payload: dict[str, Tensor] | None,
+    ranks: int, meshes: Sequence[Mesh], cut: Cut, balance: BalanceOptions, position: Tensor, bodies: NewBodies
 ) -> WorldState:
     """The state from this rank's arguments of `World`, validated.
 
     Args:
         ranks: number of ranks.
-        optional: optional columns of scenes; None if not given.
-        meshes, cut, balance, position, id, mesh_index, self_collision, payload, vertex_payload: as for `World`.
+        meshes, cut, balance, position, bodies: as for `World.create`.
 
     Raises:
         TypeError, ValueError: naming the argument.
@@ -96,51 +117,35 @@ def state_given(
     position = require_positions(position)
     mesh_set = MeshSet(meshes, position.device)
     partition = cut.uniform(ranks, position.device, balance)
-    columns, vertices = bodies_given(
-        mesh_set,
-        position,
-        id=id,
-        mesh_index=mesh_index,
-        self_collision=self_collision,
-        optional=optional,
-        payload=payload,
-        vertex_payload=vertex_payload,
-    )
+    columns, vertices = bodies_given(mesh_set, position, bodies)
     return WorldState(mesh_set, cut, partition, columns, vertices, dtype=arguments.dtype_name(position.dtype))
 
 
-def bodies_given(
-    mesh_set: MeshSet,
-    position: Tensor,
-    *,
-    id: Tensor | None,
-    mesh_index: Tensor | None,
-    self_collision: Tensor | bool,
-    optional: Mapping[str, Tensor | None],
-    payload: dict[str, Tensor] | None,
-    vertex_payload: dict[str, Tensor] | None,
-) -> tuple[Columns, Vertices | None]:
-    """The columns and vertices of bodies from this rank's arguments, validated.
+def bodies_given(mesh_set: MeshSet, position: Tensor, bodies: NewBodies) -> tuple[Columns, Vertices | None]:
+    """The columns and vertices of bodies from this rank's arguments, validated; without `exclude`.
 
     Args:
         mesh_set: on the device of `position`.
-        position, id, mesh_index, self_collision, optional, payload, vertex_payload: as for `state_given`.
+        position, bodies: as for `World.create`.
 
     Raises:
         TypeError, ValueError: naming the argument.
     """
-    index = torch.zeros(len(position), dtype=torch.int32) if mesh_index is None else mesh_index
-    given: dict[str, Any] = {name: column for name, column in optional.items() if column is not None}
-    scene = Scene(mesh_set, index, self_collision=self_collision, **given)  # validates them
+    index = bodies.get("mesh_index")
+    index = torch.zeros(len(position), dtype=torch.int32) if index is None else index
+    given: dict[str, Any] = {name: column for name, column in bodies.items() if name in OPTIONAL_COLUMNS}
+    given = {name: column for name, column in given.items() if column is not None}
+    scene = Scene(mesh_set, index, self_collision=bodies.get("self_collision", False), **given)  # validates them
     if scene.body_count != len(position):
         raise ValueError(f"mesh_index: expected {len(position)} values, one a body, got {scene.body_count}")
-    columns = {"id": ids_given(id, len(position), position.device), "mesh_index": scene.mesh_index}
+    columns = {"id": ids_given(bodies.get("id"), len(position), position.device), "mesh_index": scene.mesh_index}
     columns["position"] = position.to(torch.float64)
-    columns |= {name: getattr(scene, name) for name in given}
+    columns |= {name: getattr(scene, name) for name in OPTIONAL_COLUMNS if name in given}
     if scene.self_collision is not None:
         columns["self_collision"] = scene.self_collision
     count, vertices = vertex_counts(mesh_set, scene.mesh_index), None
-    of_vertices = {} if vertex_payload is None else vertex_payload
+    payload, of_vertices = bodies.get("payload"), bodies.get("vertex_payload")
+    of_vertices = {} if of_vertices is None else of_vertices
     of_vertices = payload_columns(of_vertices, "vertex_payload", int(count.sum()), position.device)
     if of_vertices:
         vertices, columns["vertex_count"] = Vertices(of_vertices, count), count

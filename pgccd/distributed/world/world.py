@@ -22,6 +22,7 @@ from pgccd.detection.passes import search_seconds
 from pgccd.detection.trajectories import TrajectoryContacts
 from pgccd.distributed.comm.exchange import Columns, take_rows
 from pgccd.distributed.comm.interface import Alone, Comm
+from pgccd.distributed.detection.excluded import Excluded
 from pgccd.distributed.detection.options import SearchOptions
 from pgccd.distributed.detection.report import earliest_for_all, tell_owners
 from pgccd.distributed.detection.segments import Segments
@@ -43,7 +44,7 @@ from pgccd.distributed.world.columns import (
     scene_columns,
     scene_of,
 )
-from pgccd.distributed.world.options import NewWorld, WorldOptions
+from pgccd.distributed.world.options import NewBodies, NewWorld, WorldOptions
 from pgccd.distributed.world.own_bodies import OwnBodies
 from pgccd.distributed.world.population import with_more, without
 from pgccd.distributed.world.resolve import (
@@ -106,7 +107,8 @@ class World(OwnBodies, Generic[R]):
         state: WorldState,
         census: Census,
     ) -> None:
-        self.comm, self.options, self.path = comm, options, path
+        self.comm, self.path = comm, path
+        self.options = replace(options, excluded=Excluded.of(state.exclude))
         self._rank = Rank(Decomposition(comm, state.partition), balance)
         self._meshes, self._cut = state.meshes, state.cut
         self.census = census
@@ -167,6 +169,7 @@ class World(OwnBodies, Generic[R]):
         world: Tensor | None = None,
         static: Tensor | None = None,
         margin: Tensor | float | None = None,
+        exclude: Tensor | Sequence[Sequence[int]] | None = None,
         self_collision: Tensor | bool = False,
         payload: dict[str, Tensor] | None = None,
         vertex_payload: dict[str, Tensor] | None = None,
@@ -195,6 +198,8 @@ class World(OwnBodies, Generic[R]):
                 ranks pass the same bodies, as if each were to pass all.
             mesh_index: (N,) integers: mesh of each body. Default: the first.
             group, mask, world, static, margin: (N,), as for `pgccd.Scene`. Either on all ranks or on none.
+            exclude: (E, 2) integers: global ids of pairs of bodies that are never tested, in any order. The pairs of
+                all ranks count; each rank keeps them all.
             self_collision: (N,) bool or bool: which deforming bodies are tested against themselves.
             payload: named tensors (N, ...) that migrate with the bodies: orientations, velocities, and so on.
             vertex_payload: named tensors (X, ...) with one row per vertex (of the first body, in the order of its mesh,
@@ -213,13 +218,14 @@ class World(OwnBodies, Generic[R]):
         """
         comm, balance = comm or Alone(), balance or BalanceOptions()
         options = SearchOptions(report, min_separation, tolerance, nonzero_toi, broad_phase, overlap, initial)
-        optional: dict[str, Any] = {"group": group, "mask": mask, "world": world, "static": static, "margin": margin}
-        columns: dict[str, Any] = {"id": id, "mesh_index": mesh_index, "self_collision": self_collision}
-        columns |= {"optional": optional, "payload": payload, "vertex_payload": vertex_payload}
+        bodies: NewBodies = {"id": id, "mesh_index": mesh_index, "group": group, "mask": mask, "world": world}
+        bodies |= {"static": static, "margin": margin, "self_collision": self_collision}
+        bodies |= {"payload": payload, "vertex_payload": vertex_payload}
         cut = Cut(partition, lower, upper, axes, cells)
-        state = together(comm, lambda: state_given(comm.size, meshes, cut, balance, position, **columns))
+        state = together(comm, lambda: state_given(comm.size, meshes, cut, balance, position, bodies))
         require_alike(comm, state, options, balance, path, id is not None)
-        return cls._begin(comm, options, balance, path, state.with_ids(comm, id is not None))
+        state = state.with_ids(comm, id is not None).with_excluded(comm, exclude)
+        return cls._begin(comm, options, balance, path, state)
 
     @classmethod
     def _begin(
@@ -338,7 +344,13 @@ class World(OwnBodies, Generic[R]):
     @property
     def _state(self) -> WorldState:
         meshes, cut, partition = self._meshes, self._cut, self.partition
-        return WorldState(meshes, cut, partition, self.columns, self._vertices, self.steps_made, next_id=self.next_id)
+        state = WorldState(meshes, cut, partition, self.columns, self._vertices, self.steps_made, next_id=self.next_id)
+        return replace(state, exclude=self.exclude)
+
+    @property
+    def exclude(self) -> Tensor | None:
+        """(E, 2) int64 global ids i < j, sorted: pairs that are never tested, equal on all ranks; None without any."""
+        return None if self.options.excluded is None else self.options.excluded.pairs
 
     @property
     def partition(self) -> Partition:
@@ -443,7 +455,9 @@ class World(OwnBodies, Generic[R]):
                 own["margin"] = margin
             # The earliest is selected from the first contacts of all segments.
             report: narrow.Report = "first" if self.options.report == "earliest" else self.options.report
-            options = replace(self.options, report=report)
+            excluded = self.options.excluded
+            excluded = None if excluded is None else excluded.in_segments(segments.ids)
+            options = replace(self.options, report=report, excluded=excluded)
             share = self._search(own["id"], scene_of(self._meshes, own), motion.steps(), options, carried)
             return segments.contacts_for_owners(self.comm, share, self.options.report, carried)
         share = self._search(self.id, scene, motion, self.options, carried)
@@ -510,31 +524,17 @@ class World(OwnBodies, Generic[R]):
             self._vertices = Vertices(self._vertices.columns | of_vertices, self._vertices.count)
         self._change_hands()
 
-    def add(
-        self,
-        position: Tensor,
-        *,
-        id: Tensor | None = None,
-        mesh_index: Tensor | None = None,
-        group: Tensor | None = None,
-        mask: Tensor | None = None,
-        world: Tensor | None = None,
-        static: Tensor | None = None,
-        margin: Tensor | float | None = None,
-        self_collision: Tensor | bool = False,
-        payload: dict[str, Tensor] | None = None,
-        vertex_payload: dict[str, Tensor] | None = None,
-    ) -> Tensor:
+    def add(self, position: Tensor, **bodies: Unpack[NewBodies]) -> Tensor:
         """Adds bodies between two steps, which migrate to their owners. All ranks call it, each with any share of the
         new bodies, or none (0 rows). Steps are then those of a world made with all these bodies.
 
         Args:
             position: (M, 3) positions of their origins, length units, world frame.
-            id: (M,) int64 global ids, unique over all ranks, from `next_id` on: no id is used twice, also not that of a
-                body that was removed. Default: consecutive from `next_id` on, rank by rank.
-            mesh_index, group, mask, world, static, margin, self_collision: as for `create`. Bodies without a column
-                that others have get the default of `pgccd.Scene`.
-            payload, vertex_payload: as for `create`; with the names, shapes and dtypes that this world has.
+            bodies: `id`, `mesh_index`, `group`, `mask`, `world`, `static`, `margin`, `exclude`, `self_collision`,
+                `payload` and `vertex_payload`, as for `create`. Ids are those from `next_id` on: no id is used twice,
+                also not that of a body that was removed; by default they are consecutive, rank by rank. Bodies without
+                a column that others have get the default of `pgccd.Scene`. `exclude` has more pairs, of new bodies or
+                of those that this world has. The payload has the names, shapes and dtypes that this world has.
 
         Returns:
             (M,) int64: the ids of these bodies, in the order of `position`.
@@ -546,10 +546,7 @@ class World(OwnBodies, Generic[R]):
         Example:
             >>> id = world.add(x + 5.0, payload={"velocity": v})
         """
-        optional = {"group": group, "mask": mask, "world": world, "static": static, "margin": margin}
-        given: dict[str, Any] = {"mesh_index": mesh_index, "self_collision": self_collision, "optional": optional}
-        given |= {"payload": payload, "vertex_payload": vertex_payload}
-        state, new = with_more(self.comm, self._state, position, id, given)
+        state, new = with_more(self.comm, self._state, position, bodies)
         self._become(state)
         return new
 
@@ -571,6 +568,8 @@ class World(OwnBodies, Generic[R]):
     def _become(self, state: WorldState) -> None:
         """Takes the bodies of another state."""
         self.columns, self._vertices, self.next_id = state.columns, state.vertices, state.next_id
+        if state.exclude is not self.exclude:
+            self.options = replace(self.options, excluded=Excluded.of(state.exclude))
         self._scene = None
         self.census = Census.of_ranks(self.comm, self.id)
         self._migrate()

@@ -1,0 +1,114 @@
+"""Mutants of what solvers ask of contacts: the rate of approach, what recedes, and normals of surfaces."""
+
+from __future__ import annotations
+
+from mutants_of.mutant import Mutant
+
+APPROACH = "pgccd/detection/approach.py"
+NORMALS = "pgccd/detection/surface_normals.py"
+ON_APPROACH = ("detection/test_approaching.py",)
+ON_NORMALS = ("detection/test_surface_normals.py",)
+
+
+def _mutant(name: str, file: str, old: str, new: str, within: str = "", equivalent: str = "") -> Mutant:
+    killed_by = ON_APPROACH if file == APPROACH else ON_NORMALS
+    return Mutant(name, file, old, new, killed_by, within, equivalent, switched=False)
+
+
+MUTANTS = [
+    _mutant(
+        "rate-sign",
+        APPROACH,
+        "rate = -(contacts.normal",
+        "rate = (contacts.normal",
+    ),
+    _mutant("rate-of-one-body", APPROACH, "(speed[:, 1] - speed[:, 0])", "speed[:, 1]"),
+    _mutant("rate-reversed", APPROACH, "torch.where(is_reversed, -rate, rate)", "rate"),
+    _mutant("rate-at-the-first-corner", APPROACH, "(weights[:, :, :, None] * velocity).sum(2)", "velocity[:, :, 0]"),
+    Mutant(
+        "rate-angular",
+        "pgccd/detection/gradients.py",
+        "travel + torch.linalg.cross(rotation.expand_as(arm), arm)",
+        "travel.expand_as(arm)",
+        ON_APPROACH,
+        switched=False,
+    ),
+    Mutant(
+        "rate-turns-back",
+        "pgccd/detection/gradients.py",
+        "travel + torch.linalg.cross(rotation.expand_as(arm), arm)",
+        "travel - torch.linalg.cross(rotation.expand_as(arm), arm)",
+        ON_APPROACH,
+        switched=False,
+    ),
+    _mutant("rate-between-edges", APPROACH, "torch.stack([1.0 - v, zero, v], 1)", "torch.stack([1.0 - v, v, zero], 1)"),
+    _mutant("recedes-at-toi-only", APPROACH, "torch.minimum(*gaps)", "gaps[0]"),
+    _mutant("recedes-some-faces", APPROACH, '"amin", 1.0) > 0.0', '"amax", 1.0) > 0.0'),
+    _mutant(
+        "recedes-faces-of-one", APPROACH, "for side in (0, 1):\n        what =", "for side in (0,):\n        what ="
+    ),
+    _mutant(
+        "recedes-no-surface-gap",
+        APPROACH,
+        "gap = torch.minimum(gap, torch.minimum(",
+        "_ = torch.minimum(gap, torch.minimum(",
+    ),
+    _mutant(
+        "recedes-one-sided", APPROACH, "stays & met[owner] & ~is_sided", "stays & met[owner] & is_sided & ~is_sided"
+    ),
+    _mutant("recedes-chord", APPROACH, "high.clamp(min=0.0) * length", "0.0 * high * length"),
+    _mutant("recedes-tangent", APPROACH, "0.5 * low * bottom", "0.5 * high * bottom"),
+    _mutant(
+        "recedes-curvature",
+        APPROACH,
+        "stray = square * radius * step * step / 8.0",
+        "stray = 0.0 * square * radius * step * step",
+    ),
+    _mutant(
+        "recedes-turns-back", APPROACH, "dot(direction, cross(axis, across))", "-dot(direction, cross(axis, across))"
+    ),
+    _mutant(
+        "recedes-no-turn",
+        APPROACH,
+        "dot(direction, fixed), zero, dot(direction, across)",
+        "dot(direction, fixed), zero, zero",
+    ),
+    _mutant(
+        "recedes-centre-stays",
+        APPROACH,
+        "gap = start + change * time + (at_b",
+        "gap = start + 0.0 * change * time + (at_b",
+    ),
+    _mutant(
+        "normals-kept",
+        NORMALS,
+        "is_changed = ~is_kept & (first < len(owner))",
+        "is_changed = is_kept & ~is_kept & (first < len(owner))",
+    ),
+    _mutant("normals-clamped", NORMALS, "is_changed = ~is_kept & (first", "is_changed = (is_kept | ~is_kept) & (first"),
+    _mutant(
+        "normals-all-convex",
+        NORMALS,
+        "(dot(normal, of_apex) < -_FLAT * distance)",
+        "(dot(normal, of_apex) < torch.inf)",
+    ),
+    _mutant("normals-flat-is-convex", NORMALS, "< -_FLAT * distance", "< _FLAT * distance"),
+    _mutant(
+        "normals-none-convex", NORMALS, "is_convex & (count <= 2) & (norm(along) > 0.0)", "is_convex & (count < 0)"
+    ),
+    _mutant(
+        "normals-no-faces",
+        NORMALS,
+        "usable = torch.cat([norm(self.normals) > 0.0, is_sound])",
+        "usable = torch.cat([norm(self.normals) > 9.0, is_sound])",
+    ),
+    _mutant(
+        "normals-side",
+        NORMALS,
+        "sign = torch.where(height.abs() > noise[owner], torch.sign(height), 0.0)",
+        "sign = torch.where(height.abs() > noise[owner], -torch.sign(height), 0.0)",
+    ),
+    _mutant("normals-no-reach", NORMALS, "is_above.double() - is_below.double()", "0.0 * is_above.double()"),
+    _mutant("normals-no-partner", NORMALS, "facing.abs() > 0.5", "facing.abs() > 2.0"),
+    _mutant("normals-outside", NORMALS, "outside = -1.0 if own.side == 1 else 1.0", "outside = 1.0"),
+]
