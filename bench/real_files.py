@@ -1,5 +1,5 @@
-"""Mesh files and robots of public packages: how many `pgccd.Mesh.load`, `load_urdf` and `load_mjcf` read, and what they say
-of the others.
+"""Mesh files and robots of public packages: how many `pgccd.Mesh.load`, `load_urdf` and `load_mjcf` read, and what they
+say of the others.
 
 Folders are those of packages of PyPI: installed, or wheels that `pip download --no-deps` brought, unpacked.
 

@@ -8,8 +8,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from xml.etree.ElementTree import Element
 
 import numpy as np
+
+from pgccd.geometry.mesh_formats import collada_root
 
 # Scalar types of PLY files.
 _PLY_TYPES = {
@@ -216,9 +219,50 @@ def _list_size(body: bytes, at: int, kind: np.dtype) -> int:
     return int(np.frombuffer(body, kind, 1, at)[0]) if at + kind.itemsize <= len(body) else 0
 
 
+def _dae(data: bytes) -> int:
+    root = collada_root(data)
+    space = root.tag.removesuffix("COLLADA")
+
+    def named(tag: str) -> dict[str, Element]:
+        """The elements of a kind by their name, as others refer to them."""
+        return {"#" + element.get("id", ""): element for element in root.iter(space + tag)}
+
+    def triangles_of(url: str) -> int:
+        if url not in geometries:
+            raise ValueError(f"a Collada file without the geometry {url!r} of its scene")
+        return _collada_triangles(geometries[url], space)
+
+    geometries, skins, scenes = named("geometry"), named("controller"), named("visual_scene")
+    shown = {url for each in root.iter(space + "instance_visual_scene") if (url := each.get("url")) in scenes}
+    triangles = 0
+    for scene in (scenes[url] for url in shown or scenes):
+        triangles += sum(triangles_of(each.get("url", "")) for each in scene.iter(space + "instance_geometry"))
+        for each in scene.iter(space + "instance_controller"):
+            if (url := each.get("url", "")) in skins:
+                triangles += sum(triangles_of(skin.get("source", "")) for skin in skins[url].iter(space + "skin"))
+    return triangles
+
+
+def _collada_triangles(geometry: Element, space: str) -> int:
+    triangles = sum(int(each.get("count", 0)) for each in geometry.iter(space + "triangles"))
+    for polygons in geometry.iter(space + "polylist"):
+        triangles += sum(int(size) - 2 for size in (polygons.findtext(space + "vcount") or "").split())
+    for kind in ("polygons", "tristrips", "trifans"):
+        for group in geometry.iter(space + kind):
+            stride = 1 + max((int(each.get("offset", 0)) for each in group.iter(space + "input")), default=0)
+            triangles += sum(len((each.text or "").split()) // stride - 2 for each in group.iter(space + "p"))
+    return triangles
+
+
 def _require_rows(kind: str, what: str, declared: int, found: int) -> None:
     if found < declared:
         raise ValueError(f"{kind} that declares {declared} rows of {what}, but holds {found} whole ones")
 
 
-_COUNTERS: dict[str, Callable[[bytes], int | None]] = {".stl": _stl, ".obj": _obj, ".off": _off, ".ply": _ply}
+_COUNTERS: dict[str, Callable[[bytes], int | None]] = {
+    ".stl": _stl,
+    ".obj": _obj,
+    ".off": _off,
+    ".ply": _ply,
+    ".dae": _dae,
+}

@@ -5,7 +5,8 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Iterable, Sequence
 from itertools import combinations
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -391,3 +392,15 @@ class Robot:
         return (
             f"Robot({self.name!r}, joints={self.joint_count}, links={len(self.link_names)}, bodies={self.body_count})"
         )
+
+
+def robot_of_file(path: Path, *parts: Any) -> Robot:
+    """A robot of these parts, as `Robot` takes them, from a file.
+
+    Raises:
+        ValueError: naming the file.
+    """
+    try:
+        return Robot(*parts)
+    except ValueError as error:
+        raise ValueError(f"path: {path}: {error}") from error

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
@@ -15,8 +16,9 @@ from pgccd.geometry.mesh import Mesh
 from pgccd.robots import shapes
 from pgccd.robots.kinematics import Joint, JointKind, Tree, quaternion_of
 from pgccd.robots.links import adjacent_links
-from pgccd.robots.robot import Robot
+from pgccd.robots.robot import Robot, robot_of_file
 from pgccd.robots.shapes import ThickSurface
+from pgccd.robots.urdf_checks import check_urdf, keep_collisions
 
 _KINDS: dict[str, JointKind] = {
     "fixed": "fixed",
@@ -43,8 +45,8 @@ def load_urdf(
     Args:
         path: of the URDF file.
         srdf: an SRDF file, of which the elements disable_collisions are read.
-        packages: folders by name, for files given as package://name/file. Default: the folder of that name, or the
-            file, is looked for in all folders above that of the URDF file.
+        packages: folders by name, for files given as package://name/file or model://name/file. Default: the folder of
+            that name, or the file, is looked for in all folders above that of the URDF file.
         base_position, base_orientation: pose of the root link in the world: (3,), and a unit quaternion (w, x, y, z).
 
     Raises:
@@ -87,7 +89,7 @@ def load_urdf(
     excluded = adjacent_links(tree, [(at, bool(surfaces)) for _, at, surfaces in links])
     if srdf is not None:
         excluded += _disabled(arguments.path(srdf, "srdf"), number)
-    return Robot(description.name or path.stem, tree, links, names, limits, excluded)
+    return robot_of_file(path, description.name, tree, links, names, limits, excluded)
 
 
 def _parsed(path: Path) -> Any:
@@ -96,11 +98,16 @@ def _parsed(path: Path) -> Any:
     except ImportError as error:
         raise ImportError(f"yourdfpy reads URDF files: pip install 'pgccd[robots]' ({error})") from error
     try:
-        ElementTree.parse(path)  # yourdfpy repairs broken files silently
-        return yourdfpy.URDF.load(str(path), build_scene_graph=False, load_meshes=False).robot
+        root = ElementTree.parse(path).getroot()
+    except ElementTree.ParseError as error:
+        raise ValueError(f"path: {path} cannot be read as XML: {error}") from error
+    keep_collisions(root)
+    check_urdf(root, path)  # yourdfpy repairs broken files silently
+    try:
+        file = io.BytesIO(ElementTree.tostring(root))
+        return yourdfpy.URDF.load(file, build_scene_graph=False, load_meshes=False).robot
     except Exception as error:
-        problem = f"an element has no attribute {error}" if isinstance(error, KeyError) else error
-        raise ValueError(f"path: {path} cannot be read as URDF: {problem}") from error
+        raise ValueError(f"path: {path} cannot be read as URDF: {error}") from error
 
 
 def _ordered(description: Any, path: Path) -> tuple[str, list[Any]]:
@@ -110,6 +117,8 @@ def _ordered(description: Any, path: Path) -> tuple[str, list[Any]]:
         ValueError: links and joints are no tree.
     """
     links = {link.name for link in description.links}
+    if not links:
+        raise ValueError(f"path: {path}: it has no links")
     by_child: dict[str, Any] = {}
     for joint in description.joints:
         for end in (joint.parent, joint.child):
@@ -195,9 +204,9 @@ def _file(name: str, path: Path, packages: Mapping[str, str | PathLike[str]]) ->
     """The mesh file of that name in a URDF file."""
     if name.startswith("file://"):
         return Path(name.removeprefix("file://"))
-    if not name.startswith("package://"):
+    if not name.startswith(("package://", "model://")):
         return path.parent / name
-    package, _, rest = name.removeprefix("package://").partition("/")
+    package, _, rest = name.partition("://")[2].partition("/")
     if package in packages:
         return Path(packages[package]) / rest
     for folder in path.resolve().parents:
