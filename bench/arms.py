@@ -37,6 +37,7 @@ def main() -> None:
     parser = results.parser(__doc__)
     parser.add_argument("--data", type=Path, required=True, help="the folder example-robot-data")
     parser.add_argument("--segments", type=int, default=1000, help="random segments whose start does not collide")
+    parser.add_argument("--sampled", type=int, help="segments that are sampled too; default: all")
     parser.add_argument("--samples", type=int, default=2001, help="configurations a segment")
     parser.add_argument("--robots", nargs="+", default=list(ROBOTS), choices=list(ROBOTS))
     parser.add_argument("--resume", type=Path, help="folder for the samples taken so far")
@@ -65,9 +66,10 @@ def measure(name: str, arguments: argparse.Namespace) -> dict[str, Any]:
     row = {"robot": name, "bodies": robot.body_count, "triangles": sum(len(mesh.faces) for mesh in robot.meshes)}
     row |= {verdict.name.lower(): int((found.verdict == verdict).sum()) for verdict in Verdict}
     kept = None if arguments.resume is None else arguments.resume / f"{name}.npz"
-    first, sampled, count = sample_all(sampler, q.numpy(), arguments.samples, kept)
+    first, sampled, count = sample_all(sampler, q.numpy()[: arguments.sampled], arguments.samples, kept)
+    row |= {"sampled": len(first)}
     row |= compared(found, first, np.linspace(0.0, 1.0, arguments.samples), sampler, q.numpy())
-    row |= {"ms a segment": 1e3 * seconds / len(q), "ms a sampled segment": 1e3 * sampled / len(q)}
+    row |= {"ms a segment": 1e3 * seconds / len(q), "ms a sampled segment": 1e3 * sampled / len(first)}
     return row | {"us a sample": 1e6 * sampled / count, "tested without boxes too": sampler.checked}
 
 
@@ -89,7 +91,8 @@ def sample_all(sampler: Sampler, q: np.ndarray, samples: int, kept: Path | None)
     first, seconds = np.zeros(0, dtype=np.int64), 0.0
     if kept is not None and kept.is_file():
         saved = np.load(kept)
-        if saved["samples"] == samples and np.array_equal(saved["q"], q):
+        done = len(saved["first"])
+        if saved["samples"] == samples and done <= len(q) and np.array_equal(saved["q"][:done], q[:done]):
             first, seconds, sampler.checked = saved["first"], float(saved["seconds"]), int(saved["checked"])
     s = np.linspace(0.0, 1.0, samples)
     for b in range(len(first), len(q)):
@@ -106,12 +109,12 @@ def sample_all(sampler: Sampler, q: np.ndarray, samples: int, kept: Path | None)
 
 def compared(found: Certificate, first: np.ndarray, s: np.ndarray, sampler: Sampler, q: np.ndarray) -> dict[str, Any]:
     """Certificates beside the samples at times s."""
-    free, begin = found.free.numpy(), found.time.numpy()
+    free, begin, verdict = (column.numpy()[: len(first)] for column in (found.free, found.time, found.verdict))
     collides = first >= 0
     early = (s[first] - begin)[collides & ~free]
     unseen = np.flatnonzero(~free & ~collides)
     finer = [b for b in unseen if sampler.first(q[b], begin[b] + np.linspace(0.0, FINE_LENGTH, FINE)) is not None]
-    confirmed = found.verdict.numpy()[unseen] != int(Verdict.NEAR)
+    near = int((verdict[unseen] == int(Verdict.NEAR)).sum())
     return {
         "samples collide": int(collides.sum()),
         "missed": int((collides & free).sum()),
@@ -119,7 +122,7 @@ def compared(found: Certificate, first: np.ndarray, s: np.ndarray, sampler: Samp
         "median early": float(np.median(early)),
         "most early": float(early.max()),
         "not free, no sample collides": len(unseen),
-        "of them near": int((~confirmed).sum()),
+        "of them near": near,
         "of them in finer samples": len(finer),
     }
 
