@@ -3,7 +3,7 @@ say of the others.
 
 Folders are those of packages of PyPI: installed, or wheels that `pip download --no-deps` brought, unpacked.
 
-    python bench/real_files.py example-robot-data=DIR pybullet=DIR
+    python bench/real_files.py --package example-robot-data 6.0.0 DIR --package pybullet 3.2.7 DIR
 """
 
 from __future__ import annotations
@@ -25,17 +25,14 @@ MESHES = (".3mf", ".dae", ".glb", ".gltf", ".msh", ".obj", ".off", ".ply", ".stl
 def main() -> None:
     """Runs the benchmark."""
     parser = results.parser(__doc__)
-    parser.add_argument("packages", nargs="+", metavar="NAME=DIR", help="a package, and its folder")
-    parser.add_argument("--version", nargs="*", default=[], metavar="NAME=VERSION")
+    parser.add_argument("--package", nargs=3, action="append", required=True, metavar=("NAME", "VERSION", "DIR"))
     arguments = parser.parse_args()
-    versions = dict(each.split("=", 1) for each in arguments.version)
     rows, refusals = [], []
-    for package in arguments.packages:
-        name, _, folder = package.partition("=")
+    for name, version, folder in arguments.package:
         for kind, files, load in kinds(Path(folder)):
-            outcomes = [(path, outcome(load, path)) for path in files]
+            outcomes = [(path, outcome(load, path).replace(str(folder), name)) for path in files]
             refused = [(path, said) for path, said in outcomes if said]
-            row = {"package": name, "version": versions.get(name, ""), "files": kind, "count": len(files)}
+            row = {"package": name, "version": version, "files": kind, "count": len(files)}
             rows.append(row | {"loaded": len(files) - len(refused), "refused": len(refused)})
             for path, said in refused:
                 refusals.append({"package": name, "file": str(path.relative_to(folder)), "message": said})
@@ -62,7 +59,7 @@ def outcome(load: Callable[[Path], Any], path: Path) -> str:
     try:
         load(path)
     except (ValueError, OSError, ImportError) as error:
-        return f"{type(error).__name__}: {error}".replace(str(path), path.name)
+        return f"{type(error).__name__}: {error}"
     return ""
 
 
