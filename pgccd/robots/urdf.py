@@ -51,6 +51,7 @@ def load_urdf(
 
     Raises:
         FileNotFoundError: a file does not exist.
+        TypeError: naming the argument.
         ValueError: a file cannot be read, or the robot is no tree of fixed, revolute, continuous and prismatic joints;
             naming link or joint.
         ImportError: yourdfpy (extra `robots`) is not installed.
@@ -64,6 +65,8 @@ def load_urdf(
     if not path.is_file():
         raise FileNotFoundError(f"path: {path}: no such file")
     description = _parsed(path)
+    if packages is not None and not isinstance(packages, Mapping):
+        raise TypeError(f"packages: expected a dict of folders by name, got {arguments.describe(packages)}")
     root, order = _ordered(description, path)
     joints = [
         Joint("", "fixed", -1, _three(base_position, "base_position"), _unit(base_orientation), np.array([1.0, 0, 0]))
@@ -224,6 +227,8 @@ def _disabled(path: Path, number: Mapping[str, int]) -> list[tuple[int, int]]:
         root = ElementTree.parse(path).getroot()
     except ElementTree.ParseError as error:
         raise ValueError(f"srdf: {path} cannot be read as XML: {error}") from error
+    if root.find("link") is not None:
+        raise ValueError(f"srdf: {path} is a URDF file: it has links of its own")
     pairs = []
     for element in root.iter("disable_collisions"):
         links = [element.get(name) or "" for name in ("link1", "link2")]
@@ -234,15 +239,22 @@ def _disabled(path: Path, number: Mapping[str, int]) -> list[tuple[int, int]]:
     return pairs
 
 
+def _numbers(values: Sequence[float], name: str) -> np.ndarray:
+    try:
+        return np.array([float(value) for value in values])
+    except (TypeError, ValueError) as error:
+        raise TypeError(f"{name}: expected numbers, got {values!r}") from error
+
+
 def _three(values: Sequence[float], name: str) -> np.ndarray:
-    found = np.asarray(values, dtype=np.float64)
+    found = _numbers(values, name)
     if found.shape != (3,) or not np.isfinite(found).all():
         raise ValueError(f"{name}: expected three finite numbers, got {values}")
     return found
 
 
 def _unit(values: Sequence[float]) -> np.ndarray:
-    found = np.asarray(values, dtype=np.float64)
+    found = _numbers(values, "base_orientation")
     if found.shape != (4,) or not abs(np.linalg.norm(found) - 1.0) < 1e-3:
         raise ValueError(f"base_orientation: expected a unit quaternion (w, x, y, z), got {values}")
     return found / np.linalg.norm(found)

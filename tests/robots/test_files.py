@@ -110,6 +110,9 @@ def test_joined_links_are_not_tested(tmp_path: Path) -> None:
     assert other.exclude.tolist() == [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]] and len(robot.exclude) == 5
     with pytest.raises(ValueError, match="^links: expected names of links, such as 'base', got 'hand'"):
         robot.excluding([("hand", "link0")])
+    for links in (("link0", "link2"), [("link0",)], [["link0", "link2", "link3"]], [0, 1]):
+        with pytest.raises(TypeError, match="^links: expected pairs of names, such as .*, got "):
+            robot.excluding(links)  # type: ignore[arg-type]
 
 
 def test_files_exclude_pairs(tmp_path: Path) -> None:
@@ -217,6 +220,16 @@ def test_what_urdf_files_cannot_be(tmp_path: Path) -> None:
         pgccd.robots.load_urdf(path)
     with pytest.raises(FileNotFoundError, match="^path: "):
         pgccd.robots.load_urdf(tmp_path / "none.urdf")
+    path.write_text(f'<robot name="one">{links + fixed}</robot>')
+    with pytest.raises(ValueError, match="^srdf: .*bad.urdf is a URDF file"):
+        pgccd.robots.load_urdf(path, path)
+    for wrong, message in [
+        ({"packages": [tmp_path]}, "packages: expected a dict of folders by name, got list"),
+        ({"base_position": [0, 0, "x"]}, r"base_position: expected numbers, got \[0, 0, 'x'\]"),
+        ({"base_orientation": None}, "base_orientation: expected numbers, got None"),
+    ]:
+        with pytest.raises(TypeError, match=f"^{message}"):
+            pgccd.robots.load_urdf(path, **wrong)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
