@@ -162,7 +162,8 @@ def surface(part: Part) -> tuple[pgccd.Mesh, float]:
     if part.kind == "box":
         return pgccd.Mesh.box(2.0 * np.array(part.size)), 0.0
     half = part.size[1] if part.kind == "capsule" else 1e-9
-    return pgccd.Mesh([[0, 0, -half], [0, 0, half], [0, 0, 0]], [[0, 1, 2]]), part.size[0]
+    corners = np.array([[0.0, 0.0, -half], [0.0, 0.0, half], [0.0, 0.0, 0.0]])
+    return pgccd.Mesh(corners, [[0, 1, 2]]), part.size[0]
 
 
 def mujoco_frames(parts: list[Part]) -> Iterator[Frame]:
