@@ -37,7 +37,7 @@ def main() -> None:
     parser = results.parser(__doc__)
     parser.add_argument("--data", type=Path, required=True, help="the folder example-robot-data")
     parser.add_argument("--segments", type=int, default=1000, help="random segments whose start does not collide")
-    parser.add_argument("--sampled", type=int, help="segments that are sampled too; default: all")
+    parser.add_argument("--saved-only", action="store_true", help="take no samples besides those in --resume")
     parser.add_argument("--samples", type=int, default=2001, help="configurations a segment")
     parser.add_argument("--robots", nargs="+", default=list(ROBOTS), choices=list(ROBOTS))
     parser.add_argument("--resume", type=Path, help="folder for the samples taken so far")
@@ -66,7 +66,7 @@ def measure(name: str, arguments: argparse.Namespace) -> dict[str, Any]:
     row = {"robot": name, "bodies": robot.body_count, "triangles": sum(len(mesh.faces) for mesh in robot.meshes)}
     row |= {verdict.name.lower(): int((found.verdict == verdict).sum()) for verdict in Verdict}
     kept = None if arguments.resume is None else arguments.resume / f"{name}.npz"
-    first, sampled, count = sample_all(sampler, q.numpy()[: arguments.sampled], arguments.samples, kept)
+    first, sampled, count = sample_all(sampler, q.numpy(), arguments.samples, kept, arguments.saved_only)
     row |= {"sampled": len(first)}
     row |= compared(found, first, np.linspace(0.0, 1.0, arguments.samples), sampler, q.numpy())
     row |= {"ms a segment": 1e3 * seconds / len(q), "ms a sampled segment": 1e3 * sampled / len(first)}
@@ -86,7 +86,9 @@ def random_segments(robot: Robot, sampler: Sampler, count: int, rng: np.random.G
     return torch.tensor(np.stack(segments))
 
 
-def sample_all(sampler: Sampler, q: np.ndarray, samples: int, kept: Path | None) -> tuple[np.ndarray, float, int]:
+def sample_all(
+    sampler: Sampler, q: np.ndarray, samples: int, kept: Path | None, saved_only: bool
+) -> tuple[np.ndarray, float, int]:
     """The first sample of each segment that collides (B,), -1 without one; processor seconds; how many were taken."""
     first, seconds = np.zeros(0, dtype=np.int64), 0.0
     if kept is not None and kept.is_file():
@@ -95,7 +97,7 @@ def sample_all(sampler: Sampler, q: np.ndarray, samples: int, kept: Path | None)
         if saved["samples"] == samples and done <= len(q) and np.array_equal(saved["q"][:done], q[:done]):
             first, seconds, sampler.checked = saved["first"], float(saved["seconds"]), int(saved["checked"])
     s = np.linspace(0.0, 1.0, samples)
-    for b in range(len(first), len(q)):
+    for b in range(len(first), len(first) if saved_only else len(q)):
         begin = time.process_time()
         at = sampler.first(q[b], s)
         seconds += time.process_time() - begin
