@@ -212,6 +212,8 @@ def newton_frames(parts: list[Part]) -> Iterator[Frame]:
             builder.add_shape_capsule(body, radius=part.size[0], half_height=part.size[1])
     model = builder.finalize(device="cpu")
     solver = newton.solvers.SolverXPBD(model)
+    collisions = newton.CollisionPipeline(model)
+    contacts = collisions.contacts()
     old, new, control = model.state(), model.state(), model.control()
     start = model.body_q.numpy()
     turning = np.array([[0, 0, part.spin] if part.spin else part.turning for part in parts])
@@ -229,7 +231,8 @@ def newton_frames(parts: list[Part]) -> Iterator[Frame]:
         q = poses[:, [6, 3, 4, 5]].astype(np.float64)
         yield poses[:, :3].astype(np.float64), q / np.linalg.norm(q, axis=1, keepdims=True)
         old.clear_forces()
-        solver.step(old, new, control, model.collide(old), STEP)
+        collisions.collide(old, contacts)
+        solver.step(old, new, control, contacts, STEP)
         old, new = new, old
 
 
