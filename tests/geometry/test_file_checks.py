@@ -5,6 +5,8 @@ installed.
 from __future__ import annotations
 
 import builtins
+import copy
+import json
 import struct
 import warnings
 from pathlib import Path
@@ -197,6 +199,34 @@ def test_meshes_of_mujoco(tmp_path: Path) -> None:
     mesh = pgccd.Mesh.load(written(tmp_path, "whole.msh", mujoco_mesh()))
     assert mesh.faces.tolist() == [[0, 1, 2], [0, 1, 3]]
     assert np.array_equal((mesh.vertices + mesh.origin).numpy(), np.array(CORNERS, dtype=np.float32))
+
+
+@pytest.mark.parametrize("suffix", ["gltf", "glb"])
+def test_triangles_of_gltf_files_are_counted(tmp_path: Path, suffix: str) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    box = trimesh.creation.box()
+    scene = trimesh.Scene([box, trimesh.creation.icosphere(1)])
+    scene.add_geometry(box, geom_name="again", transform=trimesh.transformations.translation_matrix([3, 0, 0]))
+    exported = scene.export(file_type=suffix)
+    if suffix == "glb":
+        path = written(tmp_path, "scene.glb", exported)
+        assert declared_triangles(path) == len(pgccd.Mesh.load(path).faces) == 104
+        return
+    for name, content in exported.items():
+        written(tmp_path, name, content)
+    (path,) = tmp_path.glob("*.gltf")
+    assert declared_triangles(path) == len(pgccd.Mesh.load(path).faces) == 104
+    whole = json.loads(path.read_text())
+    fan, lost = copy.deepcopy(whole), copy.deepcopy(whole)
+    fan["meshes"][0]["primitives"][0]["mode"] = 6
+    next(node for node in lost["nodes"] if "mesh" in node)["mesh"] = 9
+    for broken, message in (
+        (fan, "of its 126 triangles trimesh reads 92"),
+        (lost, "a glTF file with broken references"),
+    ):
+        path.write_text(json.dumps(broken))
+        with pytest.raises(ValueError, match=f"^path: .* cannot be read as a mesh: {message}"):
+            pgccd.Mesh.load(path)
 
 
 @pytest.mark.parametrize("name", BROKEN)
