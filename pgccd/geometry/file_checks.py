@@ -3,13 +3,17 @@ understand, and the surface would have holes.
 """
 
 import itertools
+import json
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from xml.etree.ElementTree import Element
 
 import numpy as np
+
+from pgccd.geometry.mesh_formats import collada_root
 
 # Scalar types of PLY files.
 _PLY_TYPES = {
@@ -216,9 +220,76 @@ def _list_size(body: bytes, at: int, kind: np.dtype) -> int:
     return int(np.frombuffer(body, kind, 1, at)[0]) if at + kind.itemsize <= len(body) else 0
 
 
+def _dae(data: bytes) -> int:
+    root = collada_root(data)
+    space = root.tag.removesuffix("COLLADA")
+
+    def named(tag: str) -> dict[str, Element]:
+        """The elements of a kind by their name, as others refer to them."""
+        return {"#" + element.get("id", ""): element for element in root.iter(space + tag)}
+
+    def triangles_of(url: str) -> int:
+        if url not in geometries:
+            raise ValueError(f"a Collada file without the geometry {url!r} of its scene")
+        return _collada_triangles(geometries[url], space)
+
+    geometries, skins, scenes = named("geometry"), named("controller"), named("visual_scene")
+    shown = {url for each in root.iter(space + "instance_visual_scene") if (url := each.get("url")) in scenes}
+    triangles = 0
+    for scene in (scenes[url] for url in shown or scenes):
+        triangles += sum(triangles_of(each.get("url", "")) for each in scene.iter(space + "instance_geometry"))
+        for each in scene.iter(space + "instance_controller"):
+            if (url := each.get("url", "")) in skins:
+                triangles += sum(triangles_of(skin.get("source", "")) for skin in skins[url].iter(space + "skin"))
+    return triangles
+
+
+def _collada_triangles(geometry: Element, space: str) -> int:
+    triangles = sum(int(each.get("count", 0)) for each in geometry.iter(space + "triangles"))
+    for polygons in geometry.iter(space + "polylist"):
+        triangles += sum(int(size) - 2 for size in (polygons.findtext(space + "vcount") or "").split())
+    for kind in ("polygons", "tristrips", "trifans"):
+        for group in geometry.iter(space + kind):
+            stride = 1 + max((int(each.get("offset", 0)) for each in group.iter(space + "input")), default=0)
+            triangles += sum(len((each.text or "").split()) // stride - 2 for each in group.iter(space + "p"))
+    return triangles
+
+
+def _gltf(data: bytes) -> int:
+    """Of strips, from which readers leave out triangles without area, nothing is counted."""
+    if data.startswith(b"glTF"):
+        data = data[20 : 20 + int.from_bytes(data[12:16], "little")]
+    try:
+        content: dict[str, Any] = json.loads(data)
+        meshes, nodes, accessors = (content.get(key, []) for key in ("meshes", "nodes", "accessors"))
+        scenes = content.get("scenes", [])
+        waiting = list(scenes[content.get("scene", 0)].get("nodes", []) if scenes else range(len(nodes)))
+        triangles, seen = 0, set[int]()
+        while waiting:
+            node = nodes[number := waiting.pop()]
+            if number in seen:
+                continue
+            seen.add(number)
+            waiting += node.get("children", [])
+            for primitive in meshes[node["mesh"]]["primitives"] if "mesh" in node else ():
+                rows = accessors[primitive.get("indices", primitive["attributes"]["POSITION"])]["count"]
+                triangles += {4: rows // 3, 6: rows - 2}.get(primitive.get("mode", 4), 0)
+    except (ValueError, LookupError, TypeError, AttributeError) as error:
+        raise ValueError(f"a glTF file with broken references or text: {type(error).__name__}: {error}") from error
+    return triangles
+
+
 def _require_rows(kind: str, what: str, declared: int, found: int) -> None:
     if found < declared:
         raise ValueError(f"{kind} that declares {declared} rows of {what}, but holds {found} whole ones")
 
 
-_COUNTERS: dict[str, Callable[[bytes], int | None]] = {".stl": _stl, ".obj": _obj, ".off": _off, ".ply": _ply}
+_COUNTERS: dict[str, Callable[[bytes], int | None]] = {
+    ".stl": _stl,
+    ".obj": _obj,
+    ".off": _off,
+    ".ply": _ply,
+    ".dae": _dae,
+    ".glb": _gltf,
+    ".gltf": _gltf,
+}

@@ -231,7 +231,8 @@ class Mesh:
 
     @classmethod
     def load(cls, path: str | PathLike[str], origin: Origin = (0.0, 0.0, 0.0), *, weld: bool = True) -> Mesh:
-        """From any mesh file that trimesh loads (ply, stl, obj, off, glb, ...); all meshes in it are joined.
+        """From any mesh file that trimesh loads (ply, stl, obj, off, glb, dae, ...), or a binary mesh of MuJoCo (msh);
+        all meshes in it are joined.
 
         Args:
             path: of the file.

@@ -1,5 +1,6 @@
 """Triangles from files and from trimesh: extraction, placement and welding."""
 
+import io
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ import numpy as np
 
 from pgccd import arguments
 from pgccd.geometry.file_checks import declared_triangles
+from pgccd.geometry.mesh_formats import collada_without_looks, mujoco_mesh
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,7 @@ def load_geometry(path: str | PathLike[str], apart: bool = False) -> Any:
         options = {"split_objects": True, "split_groups": True}
     try:
         declared = declared_triangles(Path(path))
-        loaded = trimesh.load(fspath(path), process=False, **options)
+        loaded = _loaded(trimesh, Path(path), options)
         # Some files are decoded only on access.
         if not any(len(getattr(each, "vertices", ())) for _, each, _ in _parts(loaded)):
             raise ValueError("it holds no triangles")
@@ -60,6 +62,15 @@ def load_geometry(path: str | PathLike[str], apart: bool = False) -> Any:
             raise ImportError(f"path: {path} cannot be read without {package}: pip install {package}") from error
         raise ValueError(f"path: {path} cannot be read as a mesh: {error}") from error
     return loaded
+
+
+def _loaded(trimesh: Any, path: Path, options: dict[str, Any]) -> Any:
+    kind = path.suffix.lower()
+    if kind == ".msh":
+        return trimesh.Trimesh(*mujoco_mesh(path.read_bytes()), process=False)
+    if kind == ".dae":
+        return trimesh.load(io.BytesIO(collada_without_looks(path.read_bytes())), file_type="dae", process=False)
+    return trimesh.load(fspath(path), process=False, **options)
 
 
 def _missing_package(error: Exception) -> str | None:

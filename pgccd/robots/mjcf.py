@@ -12,7 +12,7 @@ from pgccd import arguments
 from pgccd.robots import shapes
 from pgccd.robots.kinematics import Joint, Tree, turned
 from pgccd.robots.links import adjacent_links
-from pgccd.robots.robot import Robot
+from pgccd.robots.robot import Robot, robot_of_file
 from pgccd.robots.shapes import ThickSurface
 
 _X = np.array([1.0, 0.0, 0.0])
@@ -93,7 +93,7 @@ def load_mjcf(path: str | PathLike[str]) -> Robot:
     excluded = adjacent_links(tree, [(f, bool(s) and body > 0) for body, (_, f, s) in enumerate(links)])
     for signature in model.exclude_signature.tolist():
         excluded.append((signature >> 16, signature & 0xFFFF))
-    return Robot(model_name(model, path), tree, links, names, limits, excluded)
+    return robot_of_file(path, model_name(model, path), tree, links, names, limits, excluded)
 
 
 def model_name(model: Any, path: Path) -> str:
@@ -109,7 +109,7 @@ def _compiled(path: Path) -> tuple[Any, Any]:
     try:
         return mujoco, mujoco.MjModel.from_xml_path(str(path))
     except ValueError as error:
-        raise ValueError(f"path: {path} cannot be read as MJCF: {error}") from error
+        raise ValueError(f"path: {path} cannot be read as MJCF: {' '.join(str(error).split())}") from error
 
 
 def surface_of_geom(mujoco: Any, model: Any, k: int, path: Path) -> ThickSurface:

@@ -48,8 +48,10 @@ class Obstacles:
         mesh_index: Tensor | Sequence[int] | None = None,
         margin: Tensor | Sequence[float] | float | None = None,
     ) -> None:
-        if isinstance(meshes, (Mesh, str)) or not isinstance(meshes, Sequence) or not meshes:
+        if isinstance(meshes, (Mesh, str)) or not isinstance(meshes, Sequence):
             raise TypeError(f"meshes: expected a list of meshes, got {arguments.describe(meshes)}")
+        if not meshes:
+            raise ValueError("meshes: expected one mesh or more, got none: leave out the obstacles if there are none")
         for index, mesh in enumerate(meshes):
             if not isinstance(mesh, Mesh):
                 raise TypeError(f"meshes[{index}]: expected a pgccd.Mesh, got {arguments.describe(mesh)}")
@@ -104,6 +106,6 @@ def _poses(values: Tensor, name: str, count: int, width: int) -> Tensor:
     values = arguments.real_tensor(values, name)
     arguments.refuse_gradient(values, name)
     if values.dim() not in (2, 3) or values.shape[-2:] != (count, width):
-        expected = f"({count}, {width}) or (B, {count}, {width})"
-        raise ValueError(f"{name}: expected shape {expected}, got {tuple(values.shape)}")
+        expected = f"({count}, {width}) or (B, {count}, {width}), a row for each entry of mesh_index or else each mesh"
+        raise ValueError(f"{name}: expected shape {expected}; got {tuple(values.shape)}")
     return values.detach().to(torch.float64).cpu().contiguous()

@@ -5,7 +5,8 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Iterable, Sequence
 from itertools import combinations
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -148,12 +149,16 @@ class Robot:
             links: pairs of names.
 
         Raises:
-            ValueError: a link is unknown.
+            TypeError, ValueError: these are no pairs of names, or a link is unknown.
 
         Example:
             >>> gripper = robot.excluding([("base", "tool")])
         """
-        return self._excluding([(self._link(a), self._link(b)) for a, b in links])
+        given = list(links)
+        for pair in given:
+            if isinstance(pair, str) or not isinstance(pair, Sequence) or len(pair) != 2:
+                raise TypeError(f"links: expected pairs of names, such as [('base', 'tool')], got {given!r}")
+        return self._excluding([(self._link(a), self._link(b)) for a, b in given])
 
     def _excluding(self, links: Iterable[tuple[int, int]]) -> Robot:
         other = copy.copy(self)
@@ -359,7 +364,8 @@ class Robot:
         self, obstacles: Obstacles | None = None, *, resolution: float | None = None
     ) -> Callable[[Tensor | Sequence[float], Tensor | Sequence[float]], bool]:
         """A function of two configurations that says whether the straight motion in joint space between them is
-        certainly free of contact, as planners such as OMPL and MoveIt ask.
+        certainly free of contact, as planners such as OMPL and MoveIt ask. False has several reasons, which `certify`
+        tells apart: also that links touch at the start, or that a value is not finite.
 
         Args:
             obstacles, resolution: as for `pgccd.robots.certify`.
@@ -374,6 +380,9 @@ class Robot:
         """
         from pgccd.robots.path_search import PathSearch
 
+        if obstacles is not None and isinstance(obstacles, Obstacles) and obstacles.environments not in (None, 1):
+            expected = "obstacles of one environment, with poses (M, 3) and (M, 4)"
+            raise ValueError(f"obstacles: expected {expected}, got those of {obstacles.environments}")
         search = PathSearch(self, obstacles, resolution)
 
         def is_valid(start: Tensor | Sequence[float], goal: Tensor | Sequence[float]) -> bool:
@@ -391,3 +400,15 @@ class Robot:
         return (
             f"Robot({self.name!r}, joints={self.joint_count}, links={len(self.link_names)}, bodies={self.body_count})"
         )
+
+
+def robot_of_file(path: Path, *parts: Any) -> Robot:
+    """A robot of these parts, as `Robot` takes them, from a file.
+
+    Raises:
+        ValueError: naming the file.
+    """
+    try:
+        return Robot(*parts)
+    except ValueError as error:
+        raise ValueError(f"path: {path}: {error}") from error

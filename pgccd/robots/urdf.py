@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
@@ -15,8 +16,9 @@ from pgccd.geometry.mesh import Mesh
 from pgccd.robots import shapes
 from pgccd.robots.kinematics import Joint, JointKind, Tree, quaternion_of
 from pgccd.robots.links import adjacent_links
-from pgccd.robots.robot import Robot
+from pgccd.robots.robot import Robot, robot_of_file
 from pgccd.robots.shapes import ThickSurface
+from pgccd.robots.urdf_checks import check_urdf, keep_collisions
 
 _KINDS: dict[str, JointKind] = {
     "fixed": "fixed",
@@ -43,12 +45,13 @@ def load_urdf(
     Args:
         path: of the URDF file.
         srdf: an SRDF file, of which the elements disable_collisions are read.
-        packages: folders by name, for files given as package://name/file. Default: the folder of that name, or the
-            file, is looked for in all folders above that of the URDF file.
+        packages: folders by name, for files given as package://name/file or model://name/file. Default: the folder of
+            that name, or the file, is looked for in all folders above that of the URDF file.
         base_position, base_orientation: pose of the root link in the world: (3,), and a unit quaternion (w, x, y, z).
 
     Raises:
         FileNotFoundError: a file does not exist.
+        TypeError: naming the argument.
         ValueError: a file cannot be read, or the robot is no tree of fixed, revolute, continuous and prismatic joints;
             naming link or joint.
         ImportError: yourdfpy (extra `robots`) is not installed.
@@ -62,6 +65,8 @@ def load_urdf(
     if not path.is_file():
         raise FileNotFoundError(f"path: {path}: no such file")
     description = _parsed(path)
+    if packages is not None and not isinstance(packages, Mapping):
+        raise TypeError(f"packages: expected a dict of folders by name, got {arguments.describe(packages)}")
     root, order = _ordered(description, path)
     joints = [
         Joint("", "fixed", -1, _three(base_position, "base_position"), _unit(base_orientation), np.array([1.0, 0, 0]))
@@ -87,7 +92,7 @@ def load_urdf(
     excluded = adjacent_links(tree, [(at, bool(surfaces)) for _, at, surfaces in links])
     if srdf is not None:
         excluded += _disabled(arguments.path(srdf, "srdf"), number)
-    return Robot(description.name or path.stem, tree, links, names, limits, excluded)
+    return robot_of_file(path, description.name, tree, links, names, limits, excluded)
 
 
 def _parsed(path: Path) -> Any:
@@ -96,11 +101,16 @@ def _parsed(path: Path) -> Any:
     except ImportError as error:
         raise ImportError(f"yourdfpy reads URDF files: pip install 'pgccd[robots]' ({error})") from error
     try:
-        ElementTree.parse(path)  # yourdfpy repairs broken files silently
-        return yourdfpy.URDF.load(str(path), build_scene_graph=False, load_meshes=False).robot
+        root = ElementTree.parse(path).getroot()
+    except ElementTree.ParseError as error:
+        raise ValueError(f"path: {path} cannot be read as XML: {error}") from error
+    keep_collisions(root)
+    check_urdf(root, path)  # yourdfpy repairs broken files silently
+    try:
+        file = io.BytesIO(ElementTree.tostring(root))
+        return yourdfpy.URDF.load(file, build_scene_graph=False, load_meshes=False).robot
     except Exception as error:
-        problem = f"an element has no attribute {error}" if isinstance(error, KeyError) else error
-        raise ValueError(f"path: {path} cannot be read as URDF: {problem}") from error
+        raise ValueError(f"path: {path} cannot be read as URDF: {error}") from error
 
 
 def _ordered(description: Any, path: Path) -> tuple[str, list[Any]]:
@@ -110,6 +120,8 @@ def _ordered(description: Any, path: Path) -> tuple[str, list[Any]]:
         ValueError: links and joints are no tree.
     """
     links = {link.name for link in description.links}
+    if not links:
+        raise ValueError(f"path: {path}: it has no links")
     by_child: dict[str, Any] = {}
     for joint in description.joints:
         for end in (joint.parent, joint.child):
@@ -195,9 +207,9 @@ def _file(name: str, path: Path, packages: Mapping[str, str | PathLike[str]]) ->
     """The mesh file of that name in a URDF file."""
     if name.startswith("file://"):
         return Path(name.removeprefix("file://"))
-    if not name.startswith("package://"):
+    if not name.startswith(("package://", "model://")):
         return path.parent / name
-    package, _, rest = name.removeprefix("package://").partition("/")
+    package, _, rest = name.partition("://")[2].partition("/")
     if package in packages:
         return Path(packages[package]) / rest
     for folder in path.resolve().parents:
@@ -215,6 +227,8 @@ def _disabled(path: Path, number: Mapping[str, int]) -> list[tuple[int, int]]:
         root = ElementTree.parse(path).getroot()
     except ElementTree.ParseError as error:
         raise ValueError(f"srdf: {path} cannot be read as XML: {error}") from error
+    if root.find("link") is not None:
+        raise ValueError(f"srdf: {path} is a URDF file: it has links of its own")
     pairs = []
     for element in root.iter("disable_collisions"):
         links = [element.get(name) or "" for name in ("link1", "link2")]
@@ -225,15 +239,22 @@ def _disabled(path: Path, number: Mapping[str, int]) -> list[tuple[int, int]]:
     return pairs
 
 
+def _numbers(values: Sequence[float], name: str) -> np.ndarray:
+    try:
+        return np.array([float(value) for value in values])
+    except (TypeError, ValueError) as error:
+        raise TypeError(f"{name}: expected numbers, got {values!r}") from error
+
+
 def _three(values: Sequence[float], name: str) -> np.ndarray:
-    found = np.asarray(values, dtype=np.float64)
+    found = _numbers(values, name)
     if found.shape != (3,) or not np.isfinite(found).all():
         raise ValueError(f"{name}: expected three finite numbers, got {values}")
     return found
 
 
 def _unit(values: Sequence[float]) -> np.ndarray:
-    found = np.asarray(values, dtype=np.float64)
+    found = _numbers(values, "base_orientation")
     if found.shape != (4,) or not abs(np.linalg.norm(found) - 1.0) < 1e-3:
         raise ValueError(f"base_orientation: expected a unit quaternion (w, x, y, z), got {values}")
     return found / np.linalg.norm(found)

@@ -5,6 +5,8 @@ installed.
 from __future__ import annotations
 
 import builtins
+import copy
+import json
 import runpy
 import struct
 import warnings
@@ -64,6 +66,36 @@ def obj(*faces: str) -> str:
     return "".join(f"v {x} {y} {z}\n" for x, y, z in CORNERS) + "".join(f"f {face}\n" for face in faces)
 
 
+COLLADA = """<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
+<asset><unit name="meter" meter="1"/><up_axis>Z_UP</up_axis></asset>
+<library_materials><material id="paint"><instance_effect url="#missing"/></material></library_materials>
+<library_geometries><geometry id="g"><mesh>
+<source id="p"><float_array id="a" count="15">{corners}</float_array>
+<technique_common><accessor source="#a" count="5" stride="3">
+<param name="X" type="float"/><param name="Y" type="float"/><param name="Z" type="float"/></accessor></technique_common>
+</source><vertices id="v"><input semantic="POSITION" source="#p"/></vertices>
+{faces}</mesh></geometry></library_geometries>
+<library_visual_scenes><visual_scene id="s"><node><instance_geometry url="#{name}"><bind_material><technique_common>
+<instance_material symbol="m" target="#paint"/></technique_common></bind_material></instance_geometry></node>
+</visual_scene></library_visual_scenes><scene><instance_visual_scene url="#s"/></scene></COLLADA>"""
+
+
+def collada(faces: str, name: str = "g") -> str:
+    """A file whose material has no effect."""
+    corners = " ".join(str(x) for corner in CORNERS for x in corner)
+    faces = faces.replace("/>", ' material="m"><input semantic="VERTEX" source="#v" offset="0"/>')
+    return COLLADA.format(corners=corners, faces=faces, name=name)
+
+
+def mujoco_mesh(faces: int = 2) -> bytes:
+    """With texture coordinates, which are not read."""
+    corners = struct.pack("<15f", *(x for corner in CORNERS for x in corner))
+    return struct.pack("<4i", 5, 0, 5, faces) + corners + bytes(40) + struct.pack("<6i", 0, 1, 2, 0, 1, 3)
+
+
+SKIN = '<library_controllers><controller id="c"><skin source="#g"/></controller></library_controllers>'
+TRIANGLES = '<triangles count="2"/><p>0 1 2 0 1 3</p></triangles>'
+
 WHOLE: dict[str, tuple[bytes | str, int]] = {
     "binary.stl": (stl_binary(), 4),
     "text.stl": (stl_text(), 4),
@@ -87,6 +119,10 @@ WHOLE: dict[str, tuple[bytes | str, int]] = {
     "polygon.obj": (obj("1 2 3 4 5", "1 2 5"), 4),
     "continued.obj": (obj("1 2 \\\n3"), 1),
     "backwards.obj": (obj("-5 -4 -3"), 1),
+    "triangles.dae": (collada(TRIANGLES), 2),
+    "fans.dae": (collada(TRIANGLES + '<trifans count="1"/><p>0 1 2 3</p></trifans>'), 4),
+    "strips.dae": (collada('<tristrips count="1"/><p>0 1 2 3</p></tristrips>'), 2),
+    "polygons.dae": (collada('<polylist count="2"/><vcount>3 4</vcount><p>0 1 2 0 1 2 3</p></polylist>'), 3),
 }
 
 BROKEN: dict[str, tuple[bytes | str, str]] = {
@@ -120,6 +156,25 @@ BROKEN: dict[str, tuple[bytes | str, str]] = {
     "cut.obj": (obj("1 2 3", "1 2"), "face 1: '1 2': expected three corners or more"),
     "word.obj": (obj("1 2 x"), "face 0: '1 2 x': expected vertex indices"),
     "amid.obj": (obj("-3 -2 -1") + obj("-3 -2 -1"), "face 0: .* counts backwards from the middle of the vertices"),
+    "skin.dae": (
+        collada(TRIANGLES)
+        .replace('instance_geometry url="#g"', 'instance_controller url="#c"')
+        .replace("</instance_geometry>", "</instance_controller>")
+        .replace("<library_v", SKIN + "<library_v", 1),
+        "it holds no triangles",
+    ),
+    "both.dae": (
+        collada(TRIANGLES)
+        .replace("<node>", '<node><instance_controller url="#c"/>')
+        .replace("<library_v", SKIN + "<library_v", 1),
+        "of its 4 triangles trimesh reads 2",
+    ),
+    "other.dae": (collada(TRIANGLES, "h"), "without the geometry '#h' of its scene"),
+    "cut.dae": (collada(TRIANGLES)[:-30], "a Collada file that is no XML: "),
+    "cut.msh": (mujoco_mesh()[:-4], "MuJoCo, whose 5 vertices and 2 faces make 140 bytes, got 136"),
+    "faces.msh": (mujoco_mesh(3), "MuJoCo, whose 5 vertices and 3 faces make 152 bytes, got 140"),
+    "short.msh": (b"12345", "a file: expected a binary mesh of MuJoCo$"),
+    "gmsh.msh": ("$MeshFormat\n2.2 0 8\n$EndMeshFormat\n", "a mesh of Gmsh: expected a binary mesh of MuJoCo"),
     "indented.obj": (obj("1 2 3") + "  f 1 2 4\n", "of its 2 triangles trimesh reads 1"),
 }
 
@@ -138,6 +193,41 @@ def test_whole_files_are_read(tmp_path: Path, name: str) -> None:
     assert declared_triangles(path) == triangles
     assert len(pgccd.Mesh.load(path).faces) == triangles
     assert sum(len(mesh.faces) for mesh in pgccd.Mesh.load_all(path)) == triangles
+
+
+def test_meshes_of_mujoco(tmp_path: Path) -> None:
+    pytest.importorskip("trimesh")
+    mesh = pgccd.Mesh.load(written(tmp_path, "whole.msh", mujoco_mesh()))
+    assert mesh.faces.tolist() == [[0, 1, 2], [0, 1, 3]]
+    assert np.array_equal((mesh.vertices + mesh.origin).numpy(), np.array(CORNERS, dtype=np.float32))
+
+
+@pytest.mark.parametrize("suffix", ["gltf", "glb"])
+def test_triangles_of_gltf_files_are_counted(tmp_path: Path, suffix: str) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    box = trimesh.creation.box()
+    scene = trimesh.Scene([box, trimesh.creation.icosphere(1)])
+    scene.add_geometry(box, geom_name="again", transform=trimesh.transformations.translation_matrix([3, 0, 0]))
+    exported = scene.export(file_type=suffix)
+    if suffix == "glb":
+        path = written(tmp_path, "scene.glb", exported)
+        assert declared_triangles(path) == len(pgccd.Mesh.load(path).faces) == 104
+        return
+    for name, content in exported.items():
+        written(tmp_path, name, content)
+    (path,) = tmp_path.glob("*.gltf")
+    assert declared_triangles(path) == len(pgccd.Mesh.load(path).faces) == 104
+    whole = json.loads(path.read_text())
+    fan, lost = copy.deepcopy(whole), copy.deepcopy(whole)
+    fan["meshes"][0]["primitives"][0]["mode"] = 6
+    next(node for node in lost["nodes"] if "mesh" in node)["mesh"] = 9
+    for broken, message in (
+        (fan, "of its 126 triangles trimesh reads 92"),
+        (lost, "a glTF file with broken references"),
+    ):
+        path.write_text(json.dumps(broken))
+        with pytest.raises(ValueError, match=f"^path: .* cannot be read as a mesh: {message}"):
+            pgccd.Mesh.load(path)
 
 
 @pytest.mark.parametrize("name", BROKEN)

@@ -203,6 +203,10 @@ def test_a_validator_of_motions(tmp_path: Path) -> None:
     assert is_valid([float("nan")] * 4, [0.0] * 4) is False
     with pytest.raises(ValueError, match=r"^goal: expected shape \(4,\)"):
         is_valid([0.0] * 4, [0.0] * 3)
+    mesh = pgccd.Mesh.box([0.1, 0.1, 0.1])
+    with pytest.raises(ValueError, match="^obstacles: expected obstacles of one environment, .* got those of 3"):
+        robot.motion_validator(Obstacles([mesh], torch.full((3, 1, 3), 5.0)))
+    assert robot.motion_validator(Obstacles([mesh], torch.full((1, 1, 3), 5.0)))([0.0] * 4, [0.1] * 4)
 
 
 def test_near_only_within_the_resolution(tmp_path: Path) -> None:
@@ -335,6 +339,8 @@ def test_what_cannot_be_certified(tmp_path: Path) -> None:
     mesh = pgccd.Mesh.box([1.0, 1.0, 1.0])
     for given, message in [
         (([mesh], torch.zeros(2, 3)), r"position: expected shape \(1, 3\) or \(B, 1, 3\)"),
+        (([mesh], torch.zeros(2, 3)), "position: .* a row for each entry of mesh_index or else each mesh; got"),
+        (([],), "meshes: expected one mesh or more, got none"),
         (([mesh], torch.full((1, 3), torch.nan)), "position, orientation: expected finite"),
         (([mesh], torch.zeros(2, 1, 3), torch.ones(3, 1, 4)), "orientation: expected as many environments"),
     ]:

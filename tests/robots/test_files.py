@@ -110,6 +110,9 @@ def test_joined_links_are_not_tested(tmp_path: Path) -> None:
     assert other.exclude.tolist() == [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]] and len(robot.exclude) == 5
     with pytest.raises(ValueError, match="^links: expected names of links, such as 'base', got 'hand'"):
         robot.excluding([("hand", "link0")])
+    for links in (("link0", "link2"), [("link0",)], [["link0", "link2", "link3"]], [0, 1]):
+        with pytest.raises(TypeError, match="^links: expected pairs of names, such as .*, got "):
+            robot.excluding(links)  # type: ignore[arg-type]
 
 
 def test_files_exclude_pairs(tmp_path: Path) -> None:
@@ -160,7 +163,12 @@ def test_meshes_of_files(tmp_path: Path) -> None:
     urdf = tmp_path / "robot" / "urdf" / "one.urdf"
     text = '<robot name="one"><link name="a"><collision><geometry><mesh filename="{}" scale="1 0.5 1"/></geometry>'
     text += "</collision></link></robot>"
-    for name in ("package://robot/meshes/box.stl", "../meshes/box.stl", f"file://{tmp_path}/robot/meshes/box.stl"):
+    for name in (
+        "package://robot/meshes/box.stl",
+        "model://robot/meshes/box.stl",
+        "../meshes/box.stl",
+        f"file://{tmp_path}/robot/meshes/box.stl",
+    ):
         urdf.write_text(text.format(name))
         assert pgccd.robots.load_urdf(urdf).meshes[0].vertices.max(dim=0).values.tolist() == [0.5, 0.5, 1.5]
     urdf.write_text(text.format("package://other/meshes/box.stl"))
@@ -180,8 +188,10 @@ JOINT = '<joint name="j" type="{}"><parent link="a"/><child link="{}"/><axis xyz
 def test_what_urdf_files_cannot_be(tmp_path: Path) -> None:
     pytest.importorskip("yourdfpy")
     links = '<link name="a"><collision><geometry><sphere radius="1"/></geometry></collision></link><link name="b"/>'
+    fixed = JOINT.format("fixed", "b", "0 0 1", "")
     path = tmp_path / "bad.urdf"
     for body, message in [
+        ("", "it has no links"),
         (links, "expected one link without a parent, got \\['a', 'b'\\]"),
         (links + JOINT.format("revolute", "c", "0 0 1", ""), "joint 'j': there is no link 'c'"),
         (
@@ -191,22 +201,76 @@ def test_what_urdf_files_cannot_be(tmp_path: Path) -> None:
         (links + JOINT.format("revolute", "b", "0 0 0", ""), "joint 'j': expected a finite origin and an axis"),
         (links + JOINT.format("revolute", "b", "0 0 1", '<mimic joint="k"/>'), "joint 'j': there is no joint 'k' to"),
         (links + JOINT.format("revolute", "a", "0 0 1", ""), "joint 'j' is part of a loop"),
-        (links + 2 * JOINT.format("fixed", "b", "0 0 1", ""), "link 'b' is the child of two joints"),
+        (links + fixed + fixed.replace('"j"', '"k"'), "link 'b' is the child of two joints"),
     ]:
         path.write_text(f'<robot name="bad">{body}</robot>')
         with pytest.raises(ValueError, match=f"^path: .*bad.urdf: ({message})"):
             pgccd.robots.load_urdf(path)
-    path.write_text('<robot name="bad"><link/></robot>')
-    with pytest.raises(ValueError, match="^path: .* cannot be read as URDF: an element has no attribute 'name'"):
-        pgccd.robots.load_urdf(path)
+    # What is of no use here is not looked at.
+    looks = (
+        '<visual><origin xyz="0 0, 1"/></visual><inertial><mass value="one"/></inertial></link><gazebo><box/></gazebo>'
+    )
+    path.write_text('<robot name="good">' + links.split('<link name="b"/>')[0].replace("</link>", looks) + "</robot>")
+    assert pgccd.robots.load_urdf(path).body_count == 1
     path.write_text("<robot><link")
-    with pytest.raises(ValueError, match="^path: .* cannot be read as URDF"):
+    with pytest.raises(ValueError, match="^path: .* cannot be read as XML: "):
         pgccd.robots.load_urdf(path)
     path.write_text('<robot name="bare"><link name="a"/></robot>')
-    with pytest.raises(ValueError, match="^robot 'bare' has no collision surfaces"):
+    with pytest.raises(ValueError, match="^path: .*bad.urdf: robot 'bare' has no collision surfaces"):
         pgccd.robots.load_urdf(path)
     with pytest.raises(FileNotFoundError, match="^path: "):
         pgccd.robots.load_urdf(tmp_path / "none.urdf")
+    path.write_text(f'<robot name="one">{links + fixed}</robot>')
+    with pytest.raises(ValueError, match="^srdf: .*bad.urdf is a URDF file"):
+        pgccd.robots.load_urdf(path, path)
+    for wrong, message in [
+        ({"packages": [tmp_path]}, "packages: expected a dict of folders by name, got list"),
+        ({"base_position": [0, 0, "x"]}, r"base_position: expected numbers, got \[0, 0, 'x'\]"),
+        ({"base_orientation": None}, "base_orientation: expected numbers, got None"),
+    ]:
+        with pytest.raises(TypeError, match=f"^{message}"):
+            pgccd.robots.load_urdf(path, **wrong)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('<robot name="r">', '<robot name="r" />', "cannot be read as XML"),
+        (' name="r"', "", ": the element robot has no name"),
+        ('link name="a"', "link", ": link 0 has no name"),
+        ('<link name="b"/>', '<link name="a"/>', ": there are two links 'a'"),
+        ('joint name="j"', "joint", ": joint 0 has no name"),
+        ('parent link="a"', "parent", ": joint 'j': expected an element parent with a link"),
+        ('<child link="b"/>', "", ": joint 'j': expected an element child with a link"),
+        ('size="1 2 3"', 'size="1 2"', ": link 'a': box: size: expected 3 finite numbers, got '1 2'"),
+        ('size="1 2 3"', "", ": link 'a': a box without size"),
+        ('<box size="1 2 3"/>', "", ": link 'a': expected a collision geometry of one of box, .*; got nothing"),
+        ('<box size="1 2 3"/>', '<capsule radius="1" length="2"/>', ": link 'a': expected .*; got capsule"),
+        ('<box size="1 2 3"/>', "<mesh/>", ": link 'a': a mesh without a filename"),
+        ('<box size="1 2 3"/>', '<mesh filename="a" scale="1 1 1 1"/>', ": link 'a': mesh: scale: expected 1 or 3 fin"),
+        ('<box size="1 2 3"/>', '<sphere radius="nan"/>', ": link 'a': sphere: radius: expected a finite number, got"),
+        ('xyz="0 0 0"', 'xyz="0 0 0 1"', ": link 'a': origin: xyz: expected 3 finite numbers, got '0 0 0 1'"),
+        ('rpy="0 0 0"', 'rpy="0 0"', ": joint 'j': origin: rpy: expected 3 finite numbers"),
+        ('axis xyz="0 0 1"', 'axis xyz="0 0 0 1"', ": joint 'j': axis: xyz: expected 3 finite numbers"),
+        ('lower="-1"', 'lower="nan"', ": joint 'j': limit: lower: expected a finite number, got 'nan'"),
+        ("robot", "sdf", " is no URDF file: expected an element robot, got sdf"),
+        ('<link name="a">', '<deformable name="a">', "cannot be read as XML"),
+    ],
+)
+def test_numbers_and_names_of_urdf_files(tmp_path: Path, old: str, new: str, message: str) -> None:
+    """Of these, readers take the first or the last numbers, or fail without a name."""
+    pytest.importorskip("yourdfpy")
+    text = (
+        '<robot name="r"><link name="a"><collision><origin xyz="0 0 0"/><geometry><box size="1 2 3"/></geometry>'
+        '</collision></link><link name="b"/><joint name="j" type="revolute"><parent link="a"/><child link="b"/>'
+        '<origin rpy="0 0 0"/><axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>'
+    )
+    path = tmp_path / "one.urdf"
+    path.write_text(text)
+    assert pgccd.robots.load_urdf(path).joint_count == 1
+    path.write_text(text.replace(old, new))
+    with pytest.raises(ValueError, match=f"^path: .*one.urdf ?{message}"):
+        pgccd.robots.load_urdf(path)
 
 
 def test_what_mjcf_files_cannot_be(tmp_path: Path) -> None:
@@ -216,6 +280,8 @@ def test_what_mjcf_files_cannot_be(tmp_path: Path) -> None:
             mjcf(tmp_path, f'<body><joint name="j" type="{kind}"/>{sphere}</body>')
     with pytest.raises(ValueError, match="^path: .* cannot be read as MJCF"):
         mjcf(tmp_path, "<body><geom/></body>")
+    with pytest.raises(ValueError, match="^path: [^\n]*$"):
+        mjcf(tmp_path, "<body><geoms/></body>")
     with pytest.raises(FileNotFoundError, match="^path: "):
         pgccd.robots.load_mjcf(tmp_path / "none.xml")
 

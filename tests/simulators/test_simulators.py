@@ -62,6 +62,42 @@ def test_mujoco_tunnels_and_the_audit_finds_all_of_it() -> None:
     assert len(found.passages) > len(rows)  # through the plane
 
 
+WALLS_AND_BARS = """
+<mujoco><option timestep="0.01" gravity="0 0 0"/><worldbody>
+  <geom name="wall0" type="box" size="0.5 0.5 0.001" pos="0 0 0"/>
+  <geom name="wall1" type="box" size="0.5 0.5 0.002" pos="0 0 0.3" quat="0.96 0.28 0 0"/>
+  <geom name="wall2" type="box" size="0.5 0.5 0.0005" pos="0 0.1 0.6" quat="0.96 0 -0.28 0"/>
+  <geom name="post" type="box" size="0.01 0.01 0.1" pos="2.4 0.2 0"/>
+  <geom name="far" type="box" size="0.01 0.01 0.1" pos="2.8 0.2 0"/>
+  <body name="bar" pos="2 0 0"><joint type="hinge" axis="0 0 1"/>
+    <geom name="bar" type="box" size="0.6 0.01 0.02" mass="100"/></body>
+  <body name="dart" pos="0.05 0.02 1.2"><freejoint/><geom name="dart" type="box" size="0.04 0.03 0.01"/></body>
+</worldbody></mujoco>"""
+
+
+def test_walls_and_spinning_bars_of_mujoco() -> None:
+    """A dart goes through three walls in one step; a bar sweeps over a post within its reach, not over one beyond."""
+    mujoco = pytest.importorskip("mujoco")
+    model = mujoco.MjModel.from_xml_string(WALLS_AND_BARS)
+    data = mujoco.MjData(model)
+    dart, bar = (int(model.jnt_dofadr[model.body(name).jntadr[0]]) for name in ("dart", "bar"))
+    data.qvel[dart : dart + 3], data.qvel[bar] = [0.0, 0.0, -200.0], 150.0
+    simulator = pgccd.simulators.MuJoCo(model)
+    frames = list(mujoco_frames(mujoco, simulator, model, data, 1))
+    found = pgccd.audit(simulator.scene, frames)
+    assert len(found.touching) == len(found.enclosed) == 0
+    passed = {tuple(simulator.names[k] for k in pair) for pair in found.passages.pairs.tolist()}
+    assert {tuple(sorted(pair)) for pair in passed} == {
+        ("dart", "wall0"),
+        ("dart", "wall1"),
+        ("dart", "wall2"),
+        ("bar", "post"),
+    }
+    position, orientation = (torch.stack(column).numpy() for column in zip(*frames, strict=True))
+    deep, any_at_all = Rollout(model.geom_size[simulator.geoms], position, orientation).overlapping_between(1e-4, 4000)
+    assert deep == rows_of(found.passages) == any_at_all
+
+
 def test_poses_of_mujoco_are_those_after_the_step() -> None:
     mujoco = pytest.importorskip("mujoco")
     capsule = '<geom type="capsule" size="0.1 0.2" pos="0.3 0 0.1" quat="0.5 0.5 -0.5 0.5"/>'
