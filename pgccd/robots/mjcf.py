@@ -65,8 +65,9 @@ def load_mjcf(path: str | PathLike[str]) -> Robot:
             kind = mujoco.mjtJoint(int(model.jnt_type[k]))
             name = joint.name or f"{model.body(body).name}.{k - first}"
             if kind not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
-                kinds = "a hinge or a slide"
-                raise ValueError(f"path: {path}: joint {name!r}: expected {kinds}, got {kind.name[6:].lower()}")
+                what = f"a hinge or a slide, got {kind.name[6:].lower()}"
+                fixed = ": the base of a robot is fixed; delete the joint" if kind == mujoco.mjtJoint.mjJNT_FREE else ""
+                raise ValueError(f"path: {path}: joint {name!r}: expected {what}{fixed}")
             anchor = model.jnt_pos[k].copy()
             revolute = kind == mujoco.mjtJoint.mjJNT_HINGE
             offset = -float(model.qpos0[model.jnt_qposadr[k]])
