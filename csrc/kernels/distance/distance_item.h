@@ -1,0 +1,337 @@
+// The distance of one body pair over a step, by branch and bound: over pairs of nodes of both hierarchies, and over
+// parts of the step. Depth first, the nearer nodes first; so the memory of a search is bounded, and its result does not
+// depend on what else runs.
+#pragma once
+
+#include <type_traits>
+
+#include "kernels/distance/distance.h"
+#include "kernels/distance/node_gap_item.h"
+#include "kernels/distance/triangle_gap_item.h"
+
+namespace pgccd {
+
+// Two nodes over a part of the step, with a lower bound of their distance.
+struct DistanceTask {
+  int32_t node[2];
+  TimePart part;
+  double bound;
+};
+
+// Tasks that a search keeps. A search that needs more, which no tree of usual depth does, and one of more steps ends
+// with the bounds that it has. Parts of the step have at least 2^-kFinestLevel of its length.
+constexpr int kDistanceTasks = 512;
+constexpr int kMostDistanceSteps = 1 << 18;
+constexpr int32_t kFinestLevel = 26;
+
+// Bounds of the distance of the surfaces without margins.
+struct DistanceFound {
+  double lower, upper, time;
+  Vec3<double> point[2];  // relative to the first body's reference point at that time
+};
+
+struct DistanceGoal {
+  double touching;   // the search ends when the upper bound is no larger: both margins
+  double cutoff;     // larger distances do not matter
+  double tolerance;  // nor does whether a distance is less than the upper bound by so much
+};
+
+template <class Pair>
+class DistanceSearch {
+ public:
+  PGCCD_HD DistanceSearch(const Pair& pair, const DistanceGoal& goal, DistanceTask* tasks)
+      : pair_(pair), goal_(goal), tasks_(tasks), over_(pair, TimePart{0, 0}) {
+    // Below the rounding of its bounds a search would not end. What stands still has no better ones.
+    const double least = 8.0 * pair.rounding();
+    goal_.tolerance = pair.is_still() ? least : larger(goal.tolerance, least);
+    links_[0] = links_of(0);
+    links_[1] = links_of(1);
+    triangles_[0] = triangles_of(0);
+    triangles_[1] = triangles_of(1);
+  }
+
+  PGCCD_HD DistanceFound run() {
+    add({{0, 0}, {0, 0}, goal_.touching});
+    int steps = 0;
+    while (count_ > 0 && found_.upper > goal_.touching) {
+      const DistanceTask task = tasks_[--count_];
+      if (is_decided(task.bound) || steps == kMostDistanceSteps) {
+        dismiss(task.bound);
+        continue;
+      }
+      ++steps;
+      visit(task);
+    }
+    if (!(found_.upper > goal_.touching)) dismiss(0.0);
+    found_.lower = smaller(found_.lower, found_.upper);
+    return found_;
+  }
+
+ private:
+  PGCCD_HD const MeshOffsets& offsets_of(int side) const {
+    return pair_.bodies().meshes.offsets[pair_.bodies().mesh_index[pair_.body(side)]];
+  }
+  PGCCD_HD const NodeLink* links_of(int side) const {
+    return pair_.bodies().meshes.node_links + offsets_of(side).block * kBlockWidth;
+  }
+  PGCCD_HD const Triangle* triangles_of(int side) const {
+    return pair_.bodies().meshes.triangles + offsets_of(side).face;
+  }
+
+  // Distances of at least so much matter to neither bound.
+  PGCCD_HD double enough() const { return smaller(found_.upper - goal_.tolerance, goal_.cutoff); }
+  PGCCD_HD bool is_decided(double bound) const { return bound >= enough(); }
+  PGCCD_HD void dismiss(double bound) { found_.lower = smaller(found_.lower, bound); }
+  PGCCD_HD void add(const DistanceTask& task) {
+    if (is_decided(task.bound) || count_ == kDistanceTasks) return dismiss(task.bound);
+    tasks_[count_++] = task;
+  }
+  PGCCD_HD void move_to(TimePart part) {
+    if (part == part_) return;
+    part_ = part;
+    over_ = PairOver<Pair>(pair_, part);
+  }
+
+  PGCCD_HD void visit(const DistanceTask& task) {
+    move_to(task.part);
+    NodeOver nodes[2] = {node_over(pair_, over_, 0, task.node[0]), node_over(pair_, over_, 1, task.node[1])};
+    const NodeLink link[2] = {links_[0][task.node[0]], links_[1][task.node[1]]};
+    if (link[0].triangle_count > 0 && link[1].triangle_count > 0) return visit_leaves(task, link, nodes);
+    // Chords of this length stray as far as the nodes are large.
+    constexpr double kMostDeviation = 0.25;
+    const double radii = nodes[0].radius + nodes[1].radius;
+    if (task.part.level < kFinestLevel && pair_.deviation(task.part.length()) > kMostDeviation * radii) {
+      return divide_time(task);
+    }
+    const bool splits_first =
+        link[1].triangle_count > 0 || (link[0].triangle_count == 0 && nodes[0].radius >= nodes[1].radius);
+    const int side = splits_first ? 0 : 1;
+    DistanceTask children[kBlockWidth];
+    int count = 0;
+    for (int slot = 0; slot < kBlockWidth; ++slot) {
+      const int32_t child = link[side].first * kBlockWidth + slot;
+      if (links_[side][child].triangle_count < 0) continue;
+      nodes[side] = node_over(pair_, over_, side, child);
+      DistanceTask next = task;
+      next.node[side] = child;
+      next.bound = larger(distance_bound(pair_, over_, nodes, enough(), hint_), task.bound);
+      if (is_decided(next.bound)) {
+        dismiss(next.bound);
+        continue;
+      }
+      int place = count++;  // the nearest one last
+      for (; place > 0 && children[place - 1].bound < next.bound; --place) children[place] = children[place - 1];
+      children[place] = next;
+    }
+    for (int k = 0; k < count; ++k) add(children[k]);
+  }
+
+  PGCCD_HD void divide_time(const DistanceTask& task) {
+    DistanceTask half[2] = {task, task};
+    for (int k = 0; k < 2; ++k) {
+      half[k].part = {task.part.level + 1, 2 * task.part.index + k};
+      move_to(half[k].part);
+      const NodeOver nodes[2] = {node_over(pair_, over_, 0, task.node[0]), node_over(pair_, over_, 1, task.node[1])};
+      half[k].bound = larger(distance_bound(pair_, over_, nodes, enough(), hint_), task.bound);
+    }
+    const int nearer = half[1].bound < half[0].bound ? 1 : 0;
+    add(half[1 - nearer]);
+    add(half[nearer]);
+  }
+
+  // Triangles of a leaf at both ends of a part of the step.
+  struct LeafOver {
+    int count;
+    const Triangle* triangles;
+    Corners3 at[2][kMaxLeafTriangles];
+  };
+  PGCCD_HD void load(int side, NodeLink link, LeafOver& leaf) const {
+    leaf.count = link.triangle_count;
+    leaf.triangles = triangles_[side] + link.first;
+    for (int end = 0; end < over_.ends; ++end) {
+      for (int k = 0; k < leaf.count; ++k) leaf.at[end][k] = corners(over_.pose[end], side, leaf.triangles[k]);
+    }
+  }
+  PGCCD_HD Corners3 corners(const typename Pair::Pose& pose, int side, const Triangle& triangle) const {
+    Corners3 out;
+    for (int c = 0; c < 3; ++c) out.x[c] = pair_.vertex(pose, side, triangle.vertex[c]);
+    return out;
+  }
+
+  // Raises the bounds of all pairs of triangles to the gaps along a direction.
+  PGCCD_HD void raise(const LeafOver (&leaves)[2], Vec3<double> d,
+                      double (&bounds)[kMaxLeafTriangles][kMaxLeafTriangles]) const {
+    double most[2][kMaxLeafTriangles], least[2][kMaxLeafTriangles];
+    for (int end = 0; end < over_.ends; ++end) {
+      for (int k = 0; k < leaves[0].count; ++k) {
+        const Corners3& t = leaves[0].at[end][k];
+        most[end][k] = larger(larger(dot(d, t.x[0]), dot(d, t.x[1])), dot(d, t.x[2]));
+      }
+      for (int l = 0; l < leaves[1].count; ++l) {
+        const Corners3& t = leaves[1].at[end][l];
+        least[end][l] = smaller(smaller(dot(d, t.x[0]), dot(d, t.x[1])), dot(d, t.x[2]));
+      }
+    }
+    for (int k = 0; k < leaves[0].count; ++k) {
+      for (int l = 0; l < leaves[1].count; ++l) {
+        double gap = least[0][l] - most[0][k];
+        if (over_.ends == 2) gap = smaller(least[1][l] - most[1][k], gap);
+        bounds[k][l] = larger(gap - over_.slack, bounds[k][l]);
+      }
+    }
+  }
+
+  PGCCD_HD void visit_leaves(const DistanceTask& task, const NodeLink (&link)[2], const NodeOver (&nodes)[2]) {
+    LeafOver leaves[2];
+    load(0, link[0], leaves[0]);
+    load(1, link[1], leaves[1]);
+    double bounds[kMaxLeafTriangles][kMaxLeafTriangles];
+    uint32_t left[kMaxLeafTriangles];  // pairs not looked at
+    for (int k = 0; k < leaves[0].count; ++k) {
+      left[k] = (1u << leaves[1].count) - 1u;
+      for (int l = 0; l < leaves[1].count; ++l) bounds[k][l] = task.bound;
+    }
+    raise(leaves, unit_vector(nodes[1].centre[0] - nodes[0].centre[0]), bounds);
+    raise(leaves, hint_, bounds);
+    double open = INFINITY;  // least bound of pairs that need shorter parts of the step
+    double open_at = 0.5;
+    while (found_.upper > goal_.touching) {
+      int first = -1, second = -1;
+      double least = INFINITY;
+      for (int k = 0; k < leaves[0].count; ++k) {
+        for (int l = 0; l < leaves[1].count; ++l) {
+          if (!(left[k] >> l & 1u) || !(bounds[k][l] < least)) continue;
+          least = bounds[k][l];
+          first = k;
+          second = l;
+        }
+      }
+      if (first < 0 || is_decided(least)) {
+        dismiss(least);
+        break;
+      }
+      left[first] &= ~(1u << second);
+      const PairOfTriangles pair{{&leaves[0], &leaves[1]}, {first, second}};
+      double at = 0.5;
+      Vec3<double> direction{0.0, 0.0, 0.0};
+      const double bound = larger(look_at(pair, at, direction), least);
+      if (is_decided(bound)) {
+        dismiss(bound);
+      } else if (bound < open) {
+        open = bound;
+        open_at = at;
+      }
+      raise(leaves, direction, bounds);
+    }
+    if (!(open < INFINITY)) return;
+    if (pair_.is_still() || task.part.level == kFinestLevel) return dismiss(open);
+    const int nearer = open_at < 0.5 ? 0 : 1;
+    for (const int k : {1 - nearer, nearer}) {
+      DistanceTask half = task;
+      half.part = {task.part.level + 1, 2 * task.part.index + k};
+      half.bound = open;
+      add(half);
+    }
+  }
+
+  struct PairOfTriangles {
+    const LeafOver* leaf[2];
+    int place[2];
+
+    PGCCD_HD const Corners3& at(int end, int side) const { return leaf[side]->at[end][place[side]]; }
+    PGCCD_HD const Triangle& triangle(int side) const { return leaf[side]->triangles[place[side]]; }
+    // On the chords, at a fraction of the way.
+    PGCCD_HD Corners3 between(int side, double s) const {
+      Corners3 out;
+      for (int c = 0; c < 3; ++c) out.x[c] = (1.0 - s) * at(0, side).x[c] + s * at(1, side).x[c];
+      return out;
+    }
+  };
+
+  // A lower bound of the distance of two triangles, by the directions of their nearest points at a few times, and
+  // perhaps a lower upper bound. `at`: the fraction of the part of the step at which they are nearest, as far as is
+  // known; `direction`: that of the nearest points there.
+  PGCCD_HD double look_at(const PairOfTriangles& pair, double& at, Vec3<double>& direction) {
+    constexpr int kMostLooks = 3;
+    const bool is_still = over_.ends == 1;
+    double bound = -INFINITY, s = 0.5;
+    NearestOfTriangles nearest;
+    for (int look = 0; look < kMostLooks; ++look) {
+      const NearestOfTriangles now = is_still ? nearest_of_triangles(pair.at(0, 0), pair.at(0, 1))
+                                              : nearest_of_triangles(pair.between(0, s), pair.between(1, s));
+      const Vec3<double> d = unit_vector(now.direction);
+      double gap = gap_along(pair.at(0, 0), pair.at(0, 1), d);
+      if (!is_still) gap = smaller(gap_along(pair.at(1, 0), pair.at(1, 1), d), gap);
+      bound = larger(gap - over_.slack, bound);
+      if (now.squared < nearest.squared) {
+        nearest = now;
+        at = s;
+        direction = d;
+      }
+      if (is_still || is_decided(bound)) break;
+      // The time at which these points would be nearest.
+      const auto offset = [&](int end) { return now.weights[1].of(pair.at(end, 1)) - now.weights[0].of(pair.at(end, 0)); };
+      const Vec3<double> start = offset(0), travel = offset(1) - start;
+      const double squared = norm_squared(travel);
+      const double next = squared > 0.0 ? unit_clamp(-dot(start, travel) / squared) : s;
+      constexpr double kSameTime = 0x1p-8;
+      if (!(magnitude(next - s) > kSameTime)) break;
+      s = next;
+    }
+    lower_upper_bound(pair, nearest, at, direction, !(bound + over_.slack > 0.0));
+    return bound;
+  }
+
+  PGCCD_HD void lower_upper_bound(const PairOfTriangles& pair, const NearestOfTriangles& nearest, double at,
+                                  Vec3<double> direction, bool may_intersect) {
+    const double about = square_root(nearest.squared);
+    if (!(about - over_.slack < found_.upper)) return;
+    const bool is_still = over_.ends == 1;
+    const double t = is_still ? 0.0 : part_.at(at);
+    const auto pose = is_still ? over_.pose[0] : pair_.pose(t);
+    const Corners3 a = is_still ? pair.at(0, 0) : corners(pose, 0, pair.triangle(0)),
+                   b = is_still ? pair.at(0, 1) : corners(pose, 1, pair.triangle(1));
+    const Vec3<double> on_a = nearest.weights[0].of(a), on_b = nearest.weights[1].of(b);
+    double upper = norm(on_b - on_a) * (1.0 + 0x1p-40) + pair_.rounding();
+    if (may_intersect && certainly_intersect(a, b, pair_.point_error())) upper = 0.0;
+    if (!(upper < found_.upper)) return;
+    found_.upper = upper;
+    found_.time = t;
+    found_.point[0] = on_a;
+    found_.point[1] = on_b;
+    hint_ = direction;
+  }
+
+  const Pair& pair_;
+  DistanceGoal goal_;
+  DistanceTask* const tasks_;
+  const NodeLink* links_[2];
+  const Triangle* triangles_[2];
+  PairOver<Pair> over_;
+  TimePart part_{0, 0};
+  int count_ = 0;
+  Vec3<double> hint_{0.0, 0.0, 0.0};  // direction of the nearest points known
+  DistanceFound found_{INFINITY, INFINITY, NAN, {{NAN, NAN, NAN}, {NAN, NAN, NAN}}};
+};
+
+// One row of the outputs. `tasks`: kDistanceTasks of them.
+template <class Bodies>
+PGCCD_HD void find_distance(const Bodies& bodies, const DistanceInput& input, int64_t row, DistanceTask* tasks,
+                            const DistanceColumns& out) {
+  const int64_t i = input.pairs[2 * row], j = input.pairs[2 * row + 1];
+  const MovingPair<Bodies> pair(bodies, i, j);
+  const double margins = pair_separation(bodies.centres, i, j, 0.0);
+  const DistanceGoal goal{margins, add_up(input.cutoff, margins),
+                          pair_tolerance(bodies.centres, i, j, input.tolerance)};
+  const DistanceFound found = DistanceSearch<MovingPair<Bodies>>(pair, goal, tasks).run();
+  out.lower[row] = larger(add_down(found.lower, -margins), 0.0);
+  out.upper[row] = larger(add_up(found.upper, -margins), 0.0);
+  const bool has_points = found.upper < INFINITY;
+  out.time[row] = has_points ? found.time : NAN;
+  for (int side = 0; side < 2; ++side) {
+    const Vec3<double> none{NAN, NAN, NAN};
+    store_vec3(out.points + 6 * row + 3 * side, has_points ? pair.in_world(found.point[side], found.time) : none);
+  }
+}
+
+}  // namespace pgccd
