@@ -92,15 +92,14 @@ class DistanceSearch {
     over_ = PairOver<Pair>(pair_, part);
   }
 
-  PGCCD_HD void visit(const DistanceTask& task) {
-    move_to(task.part);
+  PGCCD_HD void visit(const DistanceTask& task) {    move_to(task.part);
     NodeOver nodes[2] = {node_over(pair_, over_, 0, task.node[0]), node_over(pair_, over_, 1, task.node[1])};
     const NodeLink link[2] = {links_[0][task.node[0]], links_[1][task.node[1]]};
     if (link[0].triangle_count > 0 && link[1].triangle_count > 0) return visit_leaves(task, link, nodes);
     // Chords of this length stray as far as the nodes are large.
     constexpr double kMostDeviation = 0.25;
     const double radii = nodes[0].radius + nodes[1].radius;
-    if (task.part.level < kFinestLevel && pair_.deviation(task.part.length()) > kMostDeviation * radii) {
+    if (task.part.level < kFinestLevel && over_.deviation(pair_) > kMostDeviation * radii) {
       return divide_time(task);
     }
     const bool splits_first =
@@ -126,8 +125,7 @@ class DistanceSearch {
     for (int k = 0; k < count; ++k) add(children[k]);
   }
 
-  PGCCD_HD void divide_time(const DistanceTask& task) {
-    DistanceTask half[2] = {task, task};
+  PGCCD_HD void divide_time(const DistanceTask& task) {    DistanceTask half[2] = {task, task};
     for (int k = 0; k < 2; ++k) {
       half[k].part = {task.part.level + 1, 2 * task.part.index + k};
       move_to(half[k].part);
@@ -158,31 +156,32 @@ class DistanceSearch {
     return out;
   }
 
-  // Raises the bounds of all pairs of triangles to the gaps along a direction.
-  PGCCD_HD void raise(const LeafOver (&leaves)[2], Vec3<double> d,
+  // Along a direction: the bend of the gap of points of both leaves, as in `least_between`.
+  PGCCD_HD double bend_along(const LeafOver (&leaves)[2], Vec3<double> d) const {
+    if (over_.ends == 1) return 0.0;
+    return over_.bend_along(pair_, d, [&](int side, int end, Vec3<double> across) {
+      double most = -INFINITY;
+      for (int k = 0; k < leaves[side].count; ++k) most = larger(most_along(leaves[side].at[end][k], across), most);
+      return most - dot(across, Pair::reference_point(over_.pose[end], side));
+    });
+  }
+
+  // Lower bounds of the distances of pairs of triangles, by their gaps along a unit direction that turns from
+  // `directions[0]` to `directions[1]`.
+  PGCCD_HD void raise(const LeafOver (&leaves)[2], const Vec3<double> (&directions)[2],
                       double (&bounds)[kMaxLeafTriangles][kMaxLeafTriangles]) const {
-    double most[2][kMaxLeafTriangles], least[2][kMaxLeafTriangles];
-    for (int end = 0; end < over_.ends; ++end) {
-      for (int k = 0; k < leaves[0].count; ++k) {
-        const Corners3& t = leaves[0].at[end][k];
-        most[end][k] = larger(larger(dot(d, t.x[0]), dot(d, t.x[1])), dot(d, t.x[2]));
-      }
-      for (int l = 0; l < leaves[1].count; ++l) {
-        const Corners3& t = leaves[1].at[end][l];
-        least[end][l] = smaller(smaller(dot(d, t.x[0]), dot(d, t.x[1])), dot(d, t.x[2]));
-      }
-    }
+    TurningRange most[kMaxLeafTriangles], least[kMaxLeafTriangles];
+    for (int k = 0; k < leaves[0].count; ++k) most[k] = most_of(leaves[0], k, directions);
+    for (int l = 0; l < leaves[1].count; ++l) least[l] = least_of(leaves[1], l, directions);
+    const double bend = larger(bend_along(leaves, directions[0]), bend_along(leaves, directions[1]));
     for (int k = 0; k < leaves[0].count; ++k) {
       for (int l = 0; l < leaves[1].count; ++l) {
-        double gap = least[0][l] - most[0][k];
-        if (over_.ends == 2) gap = smaller(least[1][l] - most[1][k], gap);
-        bounds[k][l] = larger(gap - over_.slack, bounds[k][l]);
+        bounds[k][l] = larger(turning_gap(most[k], least[l], directions, bend), bounds[k][l]);
       }
     }
   }
 
-  PGCCD_HD void visit_leaves(const DistanceTask& task, const NodeLink (&link)[2], const NodeOver (&nodes)[2]) {
-    LeafOver leaves[2];
+  PGCCD_HD void visit_leaves(const DistanceTask& task, const NodeLink (&link)[2], const NodeOver (&nodes)[2]) {    LeafOver leaves[2];
     load(0, link[0], leaves[0]);
     load(1, link[1], leaves[1]);
     double bounds[kMaxLeafTriangles][kMaxLeafTriangles];
@@ -191,8 +190,9 @@ class DistanceSearch {
       left[k] = (1u << leaves[1].count) - 1u;
       for (int l = 0; l < leaves[1].count; ++l) bounds[k][l] = task.bound;
     }
-    raise(leaves, unit_vector(nodes[1].centre[0] - nodes[0].centre[0]), bounds);
-    raise(leaves, hint_, bounds);
+    const Vec3<double> between = unit_vector(nodes[1].centre[0] - nodes[0].centre[0]);
+    raise(leaves, {between, between}, bounds);
+    raise(leaves, {hint_, hint_}, bounds);
     double open = INFINITY;  // least bound of pairs that need shorter parts of the step
     double open_at = 0.5;
     while (found_.upper > goal_.touching) {
@@ -213,15 +213,15 @@ class DistanceSearch {
       left[first] &= ~(1u << second);
       const PairOfTriangles pair{{&leaves[0], &leaves[1]}, {first, second}};
       double at = 0.5;
-      Vec3<double> direction{0.0, 0.0, 0.0};
-      const double bound = larger(look_at(pair, at, direction), least);
+      Vec3<double> directions[2];
+      const double bound = larger(look_at(pair, at, directions), least);
       if (is_decided(bound)) {
         dismiss(bound);
       } else if (bound < open) {
         open = bound;
         open_at = at;
       }
-      raise(leaves, direction, bounds);
+      raise(leaves, directions, bounds);
     }
     if (!(open < INFINITY)) return;
     if (pair_.is_still() || task.part.level == kFinestLevel) return dismiss(open);
@@ -232,6 +232,39 @@ class DistanceSearch {
       half.bound = open;
       add(half);
     }
+  }
+
+  // Projections of points on a direction that turns, as control points of quadratics: at the first end, in the middle
+  // and at the last end. Those at a single time are the first.
+  struct TurningRange {
+    double at[3];
+  };
+  PGCCD_HD TurningRange most_of(const LeafOver& leaf, int place, const Vec3<double> (&d)[2]) const {
+    const Corners3 &start = leaf.at[0][place], &end = leaf.at[over_.ends - 1][place];
+    double middle = -INFINITY;
+    for (int c = 0; c < 3; ++c) middle = larger(dot(d[0], end.x[c]) + dot(d[1], start.x[c]), middle);
+    return {{most_along(start, d[0]), 0.5 * middle, most_along(end, d[1])}};
+  }
+  PGCCD_HD TurningRange least_of(const LeafOver& leaf, int place, const Vec3<double> (&d)[2]) const {
+    const TurningRange most = most_of(leaf, place, {-d[0], -d[1]});
+    return {{-most.at[0], -most.at[1], -most.at[2]}};
+  }
+
+  // A lower bound of the distance, given the largest projections of the first and the least of the second on n(s) = (1 -
+  // s) d0 + s d1: the offset x(s) of two points has n(s) . x(s) above the quadratic, less bend s (1 - s), and |n(s)| =
+  // sqrt(1 - 2 s (1 - s) m) with m = 1 - d0 . d1. So where the quadratic is at least q > 0, the distance is at least
+  // that of the quadratic plus m s (1 - s) q.
+  PGCCD_HD double turning_gap(const TurningRange& most, const TurningRange& least, const Vec3<double> (&d)[2],
+                              double bend) const {
+    const double first = least.at[0] - most.at[0];
+    if (over_.ends == 1) return first - pair_.rounding();
+    const double middle = (least.at[1] - most.at[1]) - 0.5 * bend, last = least.at[2] - most.at[2];
+    double gap = least_of_quadratic(first, middle, last);
+    if (gap > 0.0) {
+      const double shorter = larger(1.0 - dot(d[0], d[1]), 0.0);
+      gap = least_of_quadratic(first, middle + 0.5 * (shorter * gap), last);
+    }
+    return gap - pair_.rounding();
   }
 
   struct PairOfTriangles {
@@ -248,52 +281,64 @@ class DistanceSearch {
     }
   };
 
-  // A lower bound of the distance of two triangles, by the directions of their nearest points at a few times, and
-  // perhaps a lower upper bound. `at`: the fraction of the part of the step at which they are nearest, as far as is
-  // known; `direction`: that of the nearest points there.
-  PGCCD_HD double look_at(const PairOfTriangles& pair, double& at, Vec3<double>& direction) {
-    constexpr int kMostLooks = 3;
-    const bool is_still = over_.ends == 1;
-    double bound = -INFINITY, s = 0.5;
-    NearestOfTriangles nearest;
-    for (int look = 0; look < kMostLooks; ++look) {
-      const NearestOfTriangles now = is_still ? nearest_of_triangles(pair.at(0, 0), pair.at(0, 1))
-                                              : nearest_of_triangles(pair.between(0, s), pair.between(1, s));
-      const Vec3<double> d = unit_vector(now.direction);
-      double gap = gap_along(pair.at(0, 0), pair.at(0, 1), d);
-      if (!is_still) gap = smaller(gap_along(pair.at(1, 0), pair.at(1, 1), d), gap);
-      bound = larger(gap - over_.slack, bound);
-      if (now.squared < nearest.squared) {
-        nearest = now;
-        at = s;
-        direction = d;
-      }
-      if (is_still || is_decided(bound)) break;
-      // The time at which these points would be nearest.
-      const auto offset = [&](int end) { return now.weights[1].of(pair.at(end, 1)) - now.weights[0].of(pair.at(end, 0)); };
-      const Vec3<double> start = offset(0), travel = offset(1) - start;
-      const double squared = norm_squared(travel);
-      const double next = squared > 0.0 ? unit_clamp(-dot(start, travel) / squared) : s;
-      constexpr double kSameTime = 0x1p-8;
-      if (!(magnitude(next - s) > kSameTime)) break;
-      s = next;
+  PGCCD_HD double gap_of(const PairOfTriangles& pair, const Vec3<double> (&d)[2]) const {
+    const auto bend = [&](Vec3<double> direction) {
+      if (over_.ends == 1) return 0.0;
+      return over_.bend_along(pair_, direction, [&](int side, int end, Vec3<double> across) {
+        return most_along(pair.at(end, side), across) - dot(across, Pair::reference_point(over_.pose[end], side));
+      });
+    };
+    return turning_gap(most_of(*pair.leaf[0], pair.place[0], d), least_of(*pair.leaf[1], pair.place[1], d), d,
+                       larger(bend(d[0]), bend(d[1])));
+  }
+
+  // A lower bound of the distance of two triangles, by the directions of their nearest points at both ends and at one
+  // time between them; and perhaps a lower upper bound. `at`: the fraction of the part of the step at which they are
+  // nearest, as far as is known; `directions`: those that give the best bound.
+  PGCCD_HD double look_at(const PairOfTriangles& pair, double& at, Vec3<double> (&directions)[2]) {
+    NearestOfTriangles nearest;    for (int end = 0; end < over_.ends; ++end) {
+      const NearestOfTriangles now = nearest_of_triangles(pair.at(end, 0), pair.at(end, 1));
+      directions[end] = unit_vector(now.direction);
+      lower_upper_bound(pair.at(end, 0), pair.at(end, 1), now, directions[end], part_.at(end));
+      if (!(now.squared < nearest.squared)) continue;
+      nearest = now;
+      at = end;
     }
-    lower_upper_bound(pair, nearest, at, direction, !(bound + over_.slack > 0.0));
+    if (over_.ends == 1) directions[1] = directions[0];
+    double bound = gap_of(pair, directions);
+    if (over_.ends == 1 || is_decided(bound)) return bound;
+    // The time at which the nearest points of the nearer end are nearest.
+    const auto offset = [&](int end) {
+      return nearest.weights[1].of(pair.at(end, 1)) - nearest.weights[0].of(pair.at(end, 0));
+    };
+    const Vec3<double> start = offset(0), travel = offset(1) - start;
+    const double squared = norm_squared(travel);
+    const double s = squared > 0.0 ? unit_clamp(-dot(start, travel) / squared) : 0.0;
+    if (!(s > 0.0 && s < 1.0)) return bound;
+    const NearestOfTriangles now = nearest_of_triangles(pair.between(0, s), pair.between(1, s));
+    const Vec3<double> fixed[2] = {unit_vector(now.direction), unit_vector(now.direction)};
+    const double its_bound = gap_of(pair, fixed);
+    if (its_bound > bound) {
+      bound = its_bound;
+      directions[0] = directions[1] = fixed[0];
+    }
+    at = s;
+    if (square_root(now.squared) - over_.deviation(pair_) < found_.upper) {
+      const auto pose = pair_.pose(part_.at(s));
+      lower_upper_bound(corners(pose, 0, pair.triangle(0)), corners(pose, 1, pair.triangle(1)), now, fixed[0],
+                        part_.at(s));
+    }
     return bound;
   }
 
-  PGCCD_HD void lower_upper_bound(const PairOfTriangles& pair, const NearestOfTriangles& nearest, double at,
-                                  Vec3<double> direction, bool may_intersect) {
-    const double about = square_root(nearest.squared);
-    if (!(about - over_.slack < found_.upper)) return;
-    const bool is_still = over_.ends == 1;
-    const double t = is_still ? 0.0 : part_.at(at);
-    const auto pose = is_still ? over_.pose[0] : pair_.pose(t);
-    const Corners3 a = is_still ? pair.at(0, 0) : corners(pose, 0, pair.triangle(0)),
-                   b = is_still ? pair.at(0, 1) : corners(pose, 1, pair.triangle(1));
+  // Lowers the upper bound to the distance of the points at a time, if that is less.
+  PGCCD_HD void lower_upper_bound(const Corners3& a, const Corners3& b, const NearestOfTriangles& nearest,
+                                  Vec3<double> direction, double t) {
     const Vec3<double> on_a = nearest.weights[0].of(a), on_b = nearest.weights[1].of(b);
     double upper = norm(on_b - on_a) * (1.0 + 0x1p-40) + pair_.rounding();
-    if (may_intersect && certainly_intersect(a, b, pair_.point_error())) upper = 0.0;
+    // The direction of the nearest points separates triangles, unless they have a common point.
+    const bool may_meet = !(gap_along(a, b, direction) > pair_.rounding());
+    if (may_meet && certainly_intersect(a, b, pair_.point_error())) upper = 0.0;
     if (!(upper < found_.upper)) return;
     found_.upper = upper;
     found_.time = t;

@@ -19,7 +19,7 @@ class MovingPair;
 template <>
 class MovingPair<RigidBodies> {
  public:
-  static constexpr bool kHasSupports = true;
+  static constexpr bool kIsRigid = true;
 
   struct Pose {
     Mat3<double> turn[2];
@@ -40,10 +40,9 @@ class MovingPair<RigidBodies> {
         if (pair_.turns(side)) at_t1_[side] = spun(pair_.spin[side], pair_.orientation[side], 1.0);
         continue;
       }
-      const double angle = pair_.spin[side].angle;
-      const double from_axis = distance_from_axis(pair_.orientation[side], pair_.spin[side], centre_[side]) +
-                               bodies.centres.radius[body];
-      bend_ += 0.125 * (angle * angle) * from_axis;
+      from_axis_[side] = distance_from_axis(pair_.orientation[side], pair_.spin[side], centre_[side]) +
+                         bodies.centres.radius[body];
+      bend_ += (pair_.spin[side].angle * pair_.spin[side].angle) * from_axis_[side];
     }
     const Vec3<double> travel = pair_.centre.at_t1 - pair_.centre.at_t0;
     is_still_ = !turns && travel.x == 0.0 && travel.y == 0.0 && travel.z == 0.0;
@@ -56,9 +55,16 @@ class MovingPair<RigidBodies> {
   PGCCD_HD bool is_still() const { return is_still_; }
   PGCCD_HD double rounding() const { return rounding_; }
   PGCCD_HD double point_error() const { return pair_.point_error; }
-  // Bound of how far the offset of two points strays from its chord over a part of the step: at most |x''| length^2 / 8
-  // for each body.
-  PGCCD_HD double deviation(double length) const { return bend_ * (length * length) * (1.0 + 0x1p-40); }
+  // Bound of |x''|, in units of the step, for the offset x of any two points.
+  PGCCD_HD double curvature() const { return bend_; }
+  PGCCD_HD Spin spin(int side) const {
+    return bodies_.linear_path ? Spin{{0.0, 0.0, 1.0}, 0.0} : pair_.spin[side];
+  }
+  // Bound of the distance of the body's points from its axis.
+  PGCCD_HD double from_axis(int side) const { return from_axis_[side]; }
+  PGCCD_HD static Vec3<double> reference_point(const Pose& pose, int side) {
+    return side == 0 ? Vec3<double>{0.0, 0.0, 0.0} : pose.shift;
+  }
 
   PGCCD_HD Pose pose(double t) const {
     Pose out;
@@ -111,6 +117,7 @@ class MovingPair<RigidBodies> {
   RigidPair pair_;
   Vec3<double> centre_[2];  // SBV centres, body frame
   Mat3<double> at_t1_[2];   // of linear paths
+  double from_axis_[2] = {0.0, 0.0};
   double bend_, rounding_;
   bool is_still_;
 };
@@ -118,7 +125,7 @@ class MovingPair<RigidBodies> {
 template <>
 class MovingPair<DeformingBodies> {
  public:
-  static constexpr bool kHasSupports = false;
+  static constexpr bool kIsRigid = false;
 
   struct Pose {
     double t;
@@ -139,7 +146,10 @@ class MovingPair<DeformingBodies> {
   PGCCD_HD static constexpr bool is_still() { return false; }
   PGCCD_HD double rounding() const { return rounding_; }
   PGCCD_HD double point_error() const { return point_error_; }
-  PGCCD_HD static constexpr double deviation(double) { return 0.0; }
+  PGCCD_HD static constexpr double curvature() { return 0.0; }
+  PGCCD_HD static Vec3<double> reference_point(const Pose& pose, int side) {
+    return side == 0 ? Vec3<double>{0.0, 0.0, 0.0} : pose.shift;
+  }
 
   PGCCD_HD Pose pose(double t) const { return {t, (1.0 - t) * centre_.at_t0 + t * centre_.at_t1}; }
 

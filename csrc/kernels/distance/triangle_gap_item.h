@@ -72,12 +72,15 @@ PGCCD_HD NearestOfTriangles nearest_of_triangles(const Corners3& a, const Corner
   return best;
 }
 
+PGCCD_HD double most_along(const Corners3& t, Vec3<double> d) {
+  return larger(larger(dot(d, t.x[0]), dot(d, t.x[1])), dot(d, t.x[2]));
+}
+PGCCD_HD double least_along(const Corners3& t, Vec3<double> d) {
+  return smaller(smaller(dot(d, t.x[0]), dot(d, t.x[1])), dot(d, t.x[2]));
+}
 // The gap of two triangles along a direction.
 PGCCD_HD double gap_along(const Corners3& a, const Corners3& b, Vec3<double> d) {
-  const auto along = [&](const Corners3& t, int c) { return dot(d, t.x[c]); };
-  const double most = larger(larger(along(a, 0), along(a, 1)), along(a, 2));
-  const double least = smaller(smaller(along(b, 0), along(b, 1)), along(b, 2));
-  return least - most;
+  return least_along(b, d) - most_along(a, d);
 }
 
 // Whether an edge of one certainly passes through the other, given the error of the points.
