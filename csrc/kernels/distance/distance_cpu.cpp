@@ -4,8 +4,7 @@
 namespace pgccd {
 
 template <class Bodies>
-void distances(const Executor& executor, const Bodies& bodies, const DistanceInput& input,
-               const DistanceColumns& out) {
+void distances(const Executor& executor, const Bodies& bodies, const DistanceInput& input, const DistanceColumns& out) {
   require_rows(executor, input.pair_count, "pairs", "name two bodies", [&](int64_t row) {
     return is_sound(bodies, input.pairs[2 * row]) && is_sound(bodies, input.pairs[2 * row + 1]);
   });

@@ -6,8 +6,8 @@ namespace pgccd {
 
 // One thread a pair, in blocks of a warp: pairs differ in cost, and few of them shall use many multiprocessors.
 template <class Bodies>
-__global__ void __launch_bounds__(kWarp) distance_kernel(Bodies bodies, DistanceInput input, DistanceTask* tasks,
-                                                        DistanceColumns out) {
+__global__ void __launch_bounds__(kWarp)
+    distance_kernel(Bodies bodies, DistanceInput input, DistanceTask* tasks, DistanceColumns out) {
   wait_for_previous_kernels();
   const int64_t thread = static_cast<int64_t>(blockIdx.x) * kWarp + threadIdx.x;
   const int64_t stride = static_cast<int64_t>(gridDim.x) * kWarp;

@@ -21,7 +21,7 @@ struct DistanceTask {
 // Tasks that a search keeps. A search that needs more, which no tree of usual depth does, and one of more steps ends
 // with the bounds that it has. Parts of the step have at least 2^-kFinestLevel of its length.
 constexpr int kDistanceTasks = 512;
-constexpr int kMostDistanceSteps = 1 << 18;
+constexpr int kMostDistanceSteps = 1 << 16;
 constexpr int32_t kFinestLevel = 26;
 
 // Bounds of the distance of the surfaces without margins.
@@ -41,9 +41,10 @@ class DistanceSearch {
  public:
   PGCCD_HD DistanceSearch(const Pair& pair, const DistanceGoal& goal, DistanceTask* tasks)
       : pair_(pair), goal_(goal), tasks_(tasks), over_(pair, TimePart{0, 0}) {
-    // Below the rounding of its bounds a search would not end. What stands still has no better ones.
-    const double least = 8.0 * pair.rounding();
-    goal_.tolerance = pair.is_still() ? least : larger(goal.tolerance, least);
+    // Below the rounding of its bounds a search would not end. What stands still has no better ones. Subtracting
+    // margins rounds once more.
+    const double least = 4.0 * pair.rounding();
+    goal_.tolerance = pair.is_still() ? least : larger(goal.tolerance - pair.rounding(), least);
     links_[0] = links_of(0);
     links_[1] = links_of(1);
     triangles_[0] = triangles_of(0);
@@ -92,7 +93,8 @@ class DistanceSearch {
     over_ = PairOver<Pair>(pair_, part);
   }
 
-  PGCCD_HD void visit(const DistanceTask& task) {    move_to(task.part);
+  PGCCD_HD void visit(const DistanceTask& task) {
+    move_to(task.part);
     NodeOver nodes[2] = {node_over(pair_, over_, 0, task.node[0]), node_over(pair_, over_, 1, task.node[1])};
     const NodeLink link[2] = {links_[0][task.node[0]], links_[1][task.node[1]]};
     if (link[0].triangle_count > 0 && link[1].triangle_count > 0) return visit_leaves(task, link, nodes);
@@ -125,7 +127,8 @@ class DistanceSearch {
     for (int k = 0; k < count; ++k) add(children[k]);
   }
 
-  PGCCD_HD void divide_time(const DistanceTask& task) {    DistanceTask half[2] = {task, task};
+  PGCCD_HD void divide_time(const DistanceTask& task) {
+    DistanceTask half[2] = {task, task};
     for (int k = 0; k < 2; ++k) {
       half[k].part = {task.part.level + 1, 2 * task.part.index + k};
       move_to(half[k].part);
@@ -181,7 +184,8 @@ class DistanceSearch {
     }
   }
 
-  PGCCD_HD void visit_leaves(const DistanceTask& task, const NodeLink (&link)[2], const NodeOver (&nodes)[2]) {    LeafOver leaves[2];
+  PGCCD_HD void visit_leaves(const DistanceTask& task, const NodeLink (&link)[2], const NodeOver (&nodes)[2]) {
+    LeafOver leaves[2];
     load(0, link[0], leaves[0]);
     load(1, link[1], leaves[1]);
     double bounds[kMaxLeafTriangles][kMaxLeafTriangles];
@@ -250,9 +254,9 @@ class DistanceSearch {
     return {{-most.at[0], -most.at[1], -most.at[2]}};
   }
 
-  // A lower bound of the distance, given the largest projections of the first and the least of the second on n(s) = (1 -
-  // s) d0 + s d1: the offset x(s) of two points has n(s) . x(s) above the quadratic, less bend s (1 - s), and |n(s)| =
-  // sqrt(1 - 2 s (1 - s) m) with m = 1 - d0 . d1. So where the quadratic is at least q > 0, the distance is at least
+  // A lower bound of the distance, given the largest projections of the first and the least of the second on n(s) = (1
+  // - s) d0 + s d1: the offset x(s) of two points has n(s) . x(s) above the quadratic, less bend s (1 - s), and |n(s)|
+  // = sqrt(1 - 2 s (1 - s) m) with m = 1 - d0 . d1. So where the quadratic is at least q > 0, the distance is at least
   // that of the quadratic plus m s (1 - s) q.
   PGCCD_HD double turning_gap(const TurningRange& most, const TurningRange& least, const Vec3<double> (&d)[2],
                               double bend) const {
@@ -296,7 +300,8 @@ class DistanceSearch {
   // time between them; and perhaps a lower upper bound. `at`: the fraction of the part of the step at which they are
   // nearest, as far as is known; `directions`: those that give the best bound.
   PGCCD_HD double look_at(const PairOfTriangles& pair, double& at, Vec3<double> (&directions)[2]) {
-    NearestOfTriangles nearest;    for (int end = 0; end < over_.ends; ++end) {
+    NearestOfTriangles nearest;
+    for (int end = 0; end < over_.ends; ++end) {
       const NearestOfTriangles now = nearest_of_triangles(pair.at(end, 0), pair.at(end, 1));
       directions[end] = unit_vector(now.direction);
       lower_upper_bound(pair.at(end, 0), pair.at(end, 1), now, directions[end], part_.at(end));
@@ -335,7 +340,7 @@ class DistanceSearch {
   PGCCD_HD void lower_upper_bound(const Corners3& a, const Corners3& b, const NearestOfTriangles& nearest,
                                   Vec3<double> direction, double t) {
     const Vec3<double> on_a = nearest.weights[0].of(a), on_b = nearest.weights[1].of(b);
-    double upper = norm(on_b - on_a) * (1.0 + 0x1p-40) + pair_.rounding();
+    double upper = norm(on_b - on_a) * (1.0 + 0x1p-48) + pair_.rounding();
     // The direction of the nearest points separates triangles, unless they have a common point.
     const bool may_meet = !(gap_along(a, b, direction) > pair_.rounding());
     if (may_meet && certainly_intersect(a, b, pair_.point_error())) upper = 0.0;

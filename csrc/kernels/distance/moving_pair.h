@@ -8,9 +8,9 @@
 namespace pgccd {
 
 // Where a pair moves in float64, every bound of a distance is wrong by no more than this: the errors of both points,
-// and 64 roundings of the sum of all lengths that enter it.
+// and 32 roundings of twice the sum of all lengths that enter it.
 PGCCD_HD double distance_rounding(double point_error, double extent) {
-  return 2.0 * point_error + 64.0 * Precision<double>::unit * extent;
+  return 2.0 * point_error + 32.0 * Precision<double>::unit * extent;
 }
 
 template <class Bodies>
@@ -27,12 +27,12 @@ class MovingPair<RigidBodies> {
   };
 
   PGCCD_HD MovingPair(const RigidBodies& bodies, int64_t i, int64_t j) : bodies_(bodies), pair_(bodies, i, j) {
-    double extent = 4.0 * larger(max_abs(pair_.centre.at_t0), max_abs(pair_.centre.at_t1));
+    double extent = 2.0 * larger(max_abs(pair_.centre.at_t0), max_abs(pair_.centre.at_t1));
     bool turns = false;
     bend_ = 0.0;
     for (int side = 0; side < 2; ++side) {
       const int64_t body = pair_.body[side];
-      extent += 4.0 * mesh_reach(bodies, body);
+      extent += 2.0 * mesh_reach(bodies, body);
       centre_[side] = mesh_centre(bodies, body);
       turns |= pair_.turns(side);
       at_t1_[side] = pair_.orientation[side];
@@ -40,8 +40,8 @@ class MovingPair<RigidBodies> {
         if (pair_.turns(side)) at_t1_[side] = spun(pair_.spin[side], pair_.orientation[side], 1.0);
         continue;
       }
-      from_axis_[side] = distance_from_axis(pair_.orientation[side], pair_.spin[side], centre_[side]) +
-                         bodies.centres.radius[body];
+      from_axis_[side] =
+          distance_from_axis(pair_.orientation[side], pair_.spin[side], centre_[side]) + bodies.centres.radius[body];
       bend_ += (pair_.spin[side].angle * pair_.spin[side].angle) * from_axis_[side];
     }
     const Vec3<double> travel = pair_.centre.at_t1 - pair_.centre.at_t0;
@@ -57,9 +57,7 @@ class MovingPair<RigidBodies> {
   PGCCD_HD double point_error() const { return pair_.point_error; }
   // Bound of |x''|, in units of the step, for the offset x of any two points.
   PGCCD_HD double curvature() const { return bend_; }
-  PGCCD_HD Spin spin(int side) const {
-    return bodies_.linear_path ? Spin{{0.0, 0.0, 1.0}, 0.0} : pair_.spin[side];
-  }
+  PGCCD_HD Spin spin(int side) const { return bodies_.linear_path ? Spin{{0.0, 0.0, 1.0}, 0.0} : pair_.spin[side]; }
   // Bound of the distance of the body's points from its axis.
   PGCCD_HD double from_axis(int side) const { return from_axis_[side]; }
   PGCCD_HD static Vec3<double> reference_point(const Pose& pose, int side) {
@@ -134,8 +132,8 @@ class MovingPair<DeformingBodies> {
 
   PGCCD_HD MovingPair(const DeformingBodies& bodies, int64_t i, int64_t j)
       : bodies_(bodies), body_{i, j}, centre_(relative_centre(bodies.centres, i, j)) {
-    double extent = 4.0 * larger(max_abs(centre_.at_t0), max_abs(centre_.at_t1));
-    for (const int64_t body : body_) extent += 4.0 * bodies.centres.radius[body];
+    double extent = 2.0 * larger(max_abs(centre_.at_t0), max_abs(centre_.at_t1));
+    for (const int64_t body : body_) extent += 2.0 * bodies.centres.radius[body];
     // The given vertices are exact; taking the reference point from them and interpolating between both ends are not.
     point_error_ = 8.0 * Precision<double>::unit * extent;
     rounding_ = distance_rounding(point_error_, extent);
