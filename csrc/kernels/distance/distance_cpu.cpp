@@ -9,8 +9,8 @@ void distances(const Executor& executor, const Bodies& bodies, const DistanceInp
     return is_sound(bodies, input.pairs[2 * row]) && is_sound(bodies, input.pairs[2 * row + 1]);
   });
   parallel_chunks(executor, input.pair_count, 1, [&](int, int64_t begin, int64_t end) {
-    DistanceTask tasks[kDistanceTasks];
-    for (int64_t row = begin; row < end; ++row) find_distance(bodies, input, row, tasks, out);
+    DistanceMemory memory;
+    for (int64_t row = begin; row < end; ++row) find_distance(bodies, input, row, memory, out);
   });
 }
 

@@ -20,9 +20,22 @@ struct DistanceTask {
 
 // Tasks that a search keeps. A search that needs more, which no tree of usual depth does, and one of more steps ends
 // with the bounds that it has. Parts of the step have at least 2^-kFinestLevel of its length.
-constexpr int kDistanceTasks = 512;
+constexpr int kDistanceTasks = 256;
 constexpr int kMostDistanceSteps = 1 << 16;
 constexpr int32_t kFinestLevel = 26;
+
+// Triangles of a leaf at both ends of a part of the step.
+struct LeafOver {
+  int count;
+  const Triangle* triangles;
+  Corners3 at[2][kMaxLeafTriangles];
+};
+
+// Memory of a search.
+struct DistanceMemory {
+  DistanceTask tasks[kDistanceTasks];
+  LeafOver leaves[2];
+};
 
 // Bounds of the distance of the surfaces without margins.
 struct DistanceFound {
@@ -31,7 +44,8 @@ struct DistanceFound {
 };
 
 struct DistanceGoal {
-  double touching;   // the search ends when the upper bound is no larger: both margins
+  double touching;   // the search ends when the upper bound is no larger: both margins, their sum rounded down
+  double least;      // bounds below do not matter: the same, rounded up
   double cutoff;     // larger distances do not matter
   double tolerance;  // nor does whether a distance is less than the upper bound by so much
 };
@@ -39,8 +53,8 @@ struct DistanceGoal {
 template <class Pair>
 class DistanceSearch {
  public:
-  PGCCD_HD DistanceSearch(const Pair& pair, const DistanceGoal& goal, DistanceTask* tasks)
-      : pair_(pair), goal_(goal), tasks_(tasks), over_(pair, TimePart{0, 0}) {
+  PGCCD_HD DistanceSearch(const Pair& pair, const DistanceGoal& goal, DistanceMemory& memory)
+      : pair_(pair), goal_(goal), memory_(memory), over_(pair, TimePart{0, 0}) {
     // Below the rounding of its bounds a search would not end. What stands still has no better ones. Subtracting
     // margins rounds once more.
     const double least = 4.0 * pair.rounding();
@@ -52,10 +66,10 @@ class DistanceSearch {
   }
 
   PGCCD_HD DistanceFound run() {
-    add({{0, 0}, {0, 0}, goal_.touching});
+    add({{0, 0}, {0, 0}, goal_.least});
     int steps = 0;
     while (count_ > 0 && found_.upper > goal_.touching) {
-      const DistanceTask task = tasks_[--count_];
+      const DistanceTask task = memory_.tasks[--count_];
       if (is_decided(task.bound) || steps == kMostDistanceSteps) {
         dismiss(task.bound);
         continue;
@@ -85,7 +99,7 @@ class DistanceSearch {
   PGCCD_HD void dismiss(double bound) { found_.lower = smaller(found_.lower, bound); }
   PGCCD_HD void add(const DistanceTask& task) {
     if (is_decided(task.bound) || count_ == kDistanceTasks) return dismiss(task.bound);
-    tasks_[count_++] = task;
+    memory_.tasks[count_++] = task;
   }
   PGCCD_HD void move_to(TimePart part) {
     if (part == part_) return;
@@ -140,12 +154,6 @@ class DistanceSearch {
     add(half[nearer]);
   }
 
-  // Triangles of a leaf at both ends of a part of the step.
-  struct LeafOver {
-    int count;
-    const Triangle* triangles;
-    Corners3 at[2][kMaxLeafTriangles];
-  };
   PGCCD_HD void load(int side, NodeLink link, LeafOver& leaf) const {
     leaf.count = link.triangle_count;
     leaf.triangles = triangles_[side] + link.first;
@@ -185,7 +193,7 @@ class DistanceSearch {
   }
 
   PGCCD_HD void visit_leaves(const DistanceTask& task, const NodeLink (&link)[2], const NodeOver (&nodes)[2]) {
-    LeafOver leaves[2];
+    LeafOver(&leaves)[2] = memory_.leaves;
     load(0, link[0], leaves[0]);
     load(1, link[1], leaves[1]);
     double bounds[kMaxLeafTriangles][kMaxLeafTriangles];
@@ -354,7 +362,7 @@ class DistanceSearch {
 
   const Pair& pair_;
   DistanceGoal goal_;
-  DistanceTask* const tasks_;
+  DistanceMemory& memory_;
   const NodeLink* links_[2];
   const Triangle* triangles_[2];
   PairOver<Pair> over_;
@@ -364,18 +372,20 @@ class DistanceSearch {
   DistanceFound found_{INFINITY, INFINITY, NAN, {{NAN, NAN, NAN}, {NAN, NAN, NAN}}};
 };
 
-// One row of the outputs. `tasks`: kDistanceTasks of them.
+// One row of the outputs.
 template <class Bodies>
-PGCCD_HD void find_distance(const Bodies& bodies, const DistanceInput& input, int64_t row, DistanceTask* tasks,
+PGCCD_HD void find_distance(const Bodies& bodies, const DistanceInput& input, int64_t row, DistanceMemory& memory,
                             const DistanceColumns& out) {
   const int64_t i = input.pairs[2 * row], j = input.pairs[2 * row + 1];
   const MovingPair<Bodies> pair(bodies, i, j);
-  const double margins = pair_separation(bodies.centres, i, j, 0.0);
-  const DistanceGoal goal{margins, add_up(input.cutoff, margins),
+  const double* const margin = bodies.centres.margin;
+  const double at_least = margin == nullptr ? 0.0 : add_down(margin[i], margin[j]);
+  const double at_most = pair_separation(bodies.centres, i, j, 0.0);
+  const DistanceGoal goal{at_least, at_most, add_up(input.cutoff, at_most),
                           pair_tolerance(bodies.centres, i, j, input.tolerance)};
-  const DistanceFound found = DistanceSearch<MovingPair<Bodies>>(pair, goal, tasks).run();
-  out.lower[row] = larger(add_down(found.lower, -margins), 0.0);
-  out.upper[row] = larger(add_up(found.upper, -margins), 0.0);
+  const DistanceFound found = DistanceSearch<MovingPair<Bodies>>(pair, goal, memory).run();
+  out.lower[row] = larger(add_down(found.lower, -at_most), 0.0);
+  out.upper[row] = larger(add_up(found.upper, -at_least), 0.0);
   const bool has_points = found.upper < INFINITY;
   out.time[row] = has_points ? found.time : NAN;
   for (int side = 0; side < 2; ++side) {

@@ -144,7 +144,8 @@ PGCCD_HD double gap_along(const Pair& pair, const PairOver<Pair>& over, const No
   return least_between(gap[0], gap[1], bend) - pair.rounding();
 }
 
-// The nodes stay at least this far apart. Stops once the bound is `enough`. `hint`: a direction that may separate them.
+// The nodes stay at least this far apart. Stops once the bound is `enough`. `hint`: a direction that may separate them,
+// or zero.
 template <class Pair>
 PGCCD_HD double distance_bound(const Pair& pair, const PairOver<Pair>& over, const NodeOver (&nodes)[2], double enough,
                                Vec3<double> hint) {
@@ -160,7 +161,7 @@ PGCCD_HD double distance_bound(const Pair& pair, const PairOver<Pair>& over, con
   double bound = (length - (nodes[0].radius + nodes[1].radius)) - (over.deviation(pair) + pair.rounding());
   if (bound >= enough) return bound;
   const auto along = [&](Vec3<double> d) { bound = larger(gap_along(pair, over, nodes, d), bound); };
-  along(hint);
+  if (max_abs(hint) > 0.0) along(hint);
   if (bound >= enough || !(length > 0.0)) return bound;
   const Vec3<double> d = (1.0 / length) * nearest;
   along(d);
