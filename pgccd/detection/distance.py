@@ -27,12 +27,12 @@ class Distances:
         pairs: (K, 2) int64, i < j.
         lower: (K,) float64 >= 0, length: the surfaces are never nearer than this.
         upper: (K,) float64, length: at `time` they are at most this far apart. 0 if they intersect there, or touch with
-            their margins; inf if `lower` is at least the cutoff.
+            their margins; inf if `lower` is above the cutoff.
         time: (K,) float64 in [0, 1], along the whole motion; nan where `upper` is inf. If several times and points are
             equally near within the tolerance, these are of any of them.
         points: (K, 2, 3) float64, world frame: a point of the surface of i and one of j at `time`, on the meshes, not
             their margins; nan where `upper` is inf. Not certified: rounded, as world coordinates are.
-        converged: (K,) bool: whether `upper` - `lower` is at most the tolerance, or `lower` at least the cutoff.
+        converged: (K,) bool: whether `upper` - `lower` is at most the tolerance, or `lower` above the cutoff.
 
     Example:
         >>> near = pgccd.distance(scene, motion, cutoff=0.1)
@@ -124,9 +124,9 @@ def _of_step(
     lower, upper, time, points = ops.distances(bodies.operands, wanted, cutoff, tolerance)
     radius = bodies.radius[wanted].amin(dim=1)
     allowed = RELATIVE_TOLERANCE * radius if tolerance < 0.0 else torch.full_like(radius, tolerance)
-    converged = (upper - lower <= allowed) | (lower >= cutoff)
+    converged = (upper - lower <= allowed) | (lower > cutoff)
     found = Distances(pairs=wanted, lower=lower, upper=upper, time=time, points=points, converged=converged)
-    return found if pairs is not None else _rows(found, lower < cutoff)
+    return found if pairs is not None else _rows(found, lower <= cutoff)
 
 
 def _rows(found: Distances, rows: Tensor) -> Distances:

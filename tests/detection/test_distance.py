@@ -111,21 +111,27 @@ def test_moving_bodies(seed: int, turn: float, path: str) -> None:
         assert boundary_distance(*at[0], *at[1]) <= upper
 
 
-def test_a_vertex_that_turns_past_another() -> None:
-    """Halfway a corner on an arc of radius 4 is nearest to a corner at rest, 2^-10 from the arc."""
+@pytest.mark.parametrize("side", [0, 1])
+@pytest.mark.parametrize("nearest_at", [0.5, 0.37])
+def test_a_vertex_that_turns_past_another(nearest_at: float, side: int) -> None:
+    """A corner on an arc of radius 4 is nearest to a corner at rest, 2^-10 from the arc, at a known time."""
     wedge = [[4.0, 0, 0], [0.0, 0.5, 0.0], [0.0, -0.5, 0.1], [0.0, 0.0, 0.5]]
     faces = [[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]]
     turning = pgccd.Mesh(wedge, faces, origin=[0.0, 0.0, 0.0])
     standing = pgccd.Mesh(-np.array(wedge), faces, origin=[0.0, 0.0, 0.0])
     for angle in (0.02, 0.5, 2.0):
-        half = [math.cos(angle / 4), 0.0, 0.0, -math.sin(angle / 4)]
+        half = 0.5 * nearest_at * angle
+        back = [math.cos(half), 0.0, 0.0, -math.sin(half)]
         place = np.array([[0.0, 0, 0], [8.0 + 2.0**-10, 0, 0]])
-        rotation = np.array([[0.0, 0.0, angle], [0.0, 0.0, 0.0]])
-        bodies = Moving([turning, standing], place, np.array([half, UPRIGHT]), place, rotation)
-        found = bodies.distance(tolerance=1e-12)
-        assert found.lower.item() <= 2.0**-10 <= found.upper.item() + 1e-14
-        assert found.upper.item() - found.lower.item() <= 2e-12
-        assert found.time.item() == pytest.approx(0.5, abs=1e-3)
+        turn = np.array([[0.0, 0.0, angle], [0.0, 0.0, 0.0]])
+        order = [side, 1 - side]
+        meshes = [(turning, standing)[k] for k in order]
+        bodies = Moving(meshes, place[order], np.array([back, UPRIGHT])[order], place[order], turn[order])
+        for tolerance in (1e-4, 1e-8, 1e-12):
+            found = bodies.distance(tolerance=tolerance)
+            assert found.lower.item() <= 2.0**-10 + 1e-15 and 2.0**-10 <= found.upper.item()
+            assert found.upper.item() - found.lower.item() <= 2 * tolerance
+        assert found.time.item() == pytest.approx(nearest_at, abs=1e-3)
 
 
 def test_many_turns() -> None:
@@ -194,10 +200,12 @@ def test_pairs_beyond_the_cutoff() -> None:
     given = bodies.distance(pairs=torch.tensor([[2, 3], [0, 1], [0, 1]]), cutoff=2.0)
     assert given.pairs.tolist() == [[2, 3], [0, 1], [0, 1]]
     assert (
-        given.lower[0] >= 2.0 and given.upper[0] == math.inf and given.time[0].isnan() and given.points[0].isnan().all()
+        given.lower[0] > 2.0 and given.upper[0] == math.inf and given.time[0].isnan() and given.points[0].isnan().all()
     )
     assert given.converged.all() and given.upper[1] == given.upper[2] == near.upper[0]
     assert len(bodies.distance(pairs=None, cutoff=0.1)) == 0
+    overlapping = at_rest([box, box, box], [[0.0, 0, 0], [0.5, 0.3, 0.2], [3.0, 0, 0]], margin=np.full(3, 0.1))
+    assert overlapping.distance(pairs=None, cutoff=0.0).pairs.tolist() == [[0, 1]]
     assert bodies.distance(pairs=None, cutoff=100.0).pairs.tolist() == torch.combinations(torch.arange(4)).tolist()
 
 

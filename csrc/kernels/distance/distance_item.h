@@ -381,7 +381,8 @@ PGCCD_HD void find_distance(const Bodies& bodies, const DistanceInput& input, in
   const double* const margin = bodies.centres.margin;
   const double at_least = margin == nullptr ? 0.0 : add_down(margin[i], margin[j]);
   const double at_most = pair_separation(bodies.centres, i, j, 0.0);
-  const DistanceGoal goal{at_least, at_most, add_up(input.cutoff, at_most),
+  const double beyond = std::nextafter(input.cutoff, static_cast<double>(INFINITY));
+  const DistanceGoal goal{at_least, at_most, add_up(beyond, at_most),
                           pair_tolerance(bodies.centres, i, j, input.tolerance)};
   const DistanceFound found = DistanceSearch<MovingPair<Bodies>>(pair, goal, memory).run();
   out.lower[row] = larger(add_down(found.lower, -at_most), 0.0);
