@@ -60,8 +60,8 @@ MUTANTS = [
         "32.0 * Precision<float>::unit",
         "0.0 * Precision<float>::unit",
         ON_DISTANCE,
-        equivalent="samples are rounded up to multiples of 7/1024 radii, by 1700 times this on average, and interpolated"
-        " between corners that no node fills",
+        equivalent="samples are rounded up to multiples of 7/1024 radii, by 1700 times this on average, and"
+        " interpolated between corners that no node fills",
     ),
     Mutant("distance-middle-bend", SEARCH, "- 0.5 * bend, last", "- 0.0 * bend, last", ON_DISTANCE),
     Mutant("distance-middle-bend-0.999", SEARCH, "- 0.5 * bend, last", "- 0.4995 * bend, last", ON_DISTANCE),
