@@ -38,13 +38,15 @@ def stick(length: float, width: float) -> pgccd.Mesh:
     return pgccd.Mesh.box([length, width, width])
 
 
+@pytest.mark.parametrize("turn", [0.0, 1e-30])
 @pytest.mark.parametrize("seed", range(6))
-def test_poses_have_their_exact_distance(seed: int) -> None:
+def test_poses_have_their_exact_distance(seed: int, turn: float) -> None:
+    """A turn too small to matter is searched like any other."""
     rng = np.random.default_rng(seed)
-    bodies = apart(rng, [bumpy(rng, 1), bumpy(rng, 0, size=0.3)], rng.uniform(-0.4, 2.0))
-    found = bodies.distance()
+    bodies = apart(rng, [bumpy(rng, 1), bumpy(rng, 0, size=0.3)], rng.uniform(-0.4, 2.0), turn)
+    found = bodies.distance(tolerance=0.0 if turn else None)
     assert_bounds_exactly(found, bodies)
-    assert found.converged.all() and (found.upper - found.lower).max() < 2e-12
+    assert found.converged.item() == (turn == 0.0) and (found.upper - found.lower).max() < 3e-12
 
 
 def needles(rng: np.random.Generator) -> pgccd.Mesh:
@@ -112,9 +114,10 @@ def test_moving_bodies(seed: int, turn: float, path: str) -> None:
 
 
 @pytest.mark.parametrize("side", [0, 1])
-@pytest.mark.parametrize("nearest_at", [0.5, 0.37])
-def test_a_vertex_that_turns_past_another(nearest_at: float, side: int) -> None:
-    """A corner on an arc of radius 4 is nearest to a corner at rest, 2^-10 from the arc, at a known time."""
+@pytest.mark.parametrize("gap", [2.0**-10, 8.0])
+@pytest.mark.parametrize("nearest_at", [0.5, 0.37, 0.8])
+def test_a_vertex_that_turns_past_another(nearest_at: float, gap: float, side: int) -> None:
+    """A corner on an arc of radius 4 is nearest to a corner at rest at a known time."""
     wedge = [[4.0, 0, 0], [0.0, 0.5, 0.0], [0.0, -0.5, 0.1], [0.0, 0.0, 0.5]]
     faces = [[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]]
     turning = pgccd.Mesh(wedge, faces, origin=[0.0, 0.0, 0.0])
@@ -122,15 +125,15 @@ def test_a_vertex_that_turns_past_another(nearest_at: float, side: int) -> None:
     for angle in (0.02, 0.5, 2.0):
         half = 0.5 * nearest_at * angle
         back = [math.cos(half), 0.0, 0.0, -math.sin(half)]
-        place = np.array([[0.0, 0, 0], [8.0 + 2.0**-10, 0, 0]])
+        place = np.array([[0.0, 0, 0], [8.0 + gap, 0, 0]])
         turn = np.array([[0.0, 0.0, angle], [0.0, 0.0, 0.0]])
         order = [side, 1 - side]
         meshes = [(turning, standing)[k] for k in order]
         bodies = Moving(meshes, place[order], np.array([back, UPRIGHT])[order], place[order], turn[order])
         for tolerance in (1e-4, 1e-8, 1e-12):
             found = bodies.distance(tolerance=tolerance)
-            assert found.lower.item() <= 2.0**-10 + 1e-15 and found.upper.item() >= 2.0**-10
-            assert found.upper.item() - found.lower.item() <= 2 * tolerance
+            assert found.lower.item() <= gap * (1 + 1e-15) and found.upper.item() >= gap
+            assert found.upper.item() - found.lower.item() <= tolerance + 3e-12
         assert found.time.item() == pytest.approx(nearest_at, abs=1e-3)
 
 

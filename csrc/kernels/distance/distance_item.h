@@ -111,13 +111,11 @@ class DistanceSearch {
     move_to(task.part);
     NodeOver nodes[2] = {node_over(pair_, over_, 0, task.node[0]), node_over(pair_, over_, 1, task.node[1])};
     const NodeLink link[2] = {links_[0][task.node[0]], links_[1][task.node[1]]};
-    if (link[0].triangle_count > 0 && link[1].triangle_count > 0) return visit_leaves(task, link, nodes);
-    // Chords of this length stray as far as the nodes are large.
-    constexpr double kMostDeviation = 0.25;
+    // Bounds over a part of the step whose chords stray further, in radii of the nodes, seldom suffice.
+    constexpr double kMostDeviation = 0.05;
     const double radii = nodes[0].radius + nodes[1].radius;
-    if (task.part.level < kFinestLevel && over_.deviation(pair_) > kMostDeviation * radii) {
-      return divide_time(task);
-    }
+    if (task.part.level < kFinestLevel && over_.deviation(pair_) > kMostDeviation * radii) return divide_time(task);
+    if (link[0].triangle_count > 0 && link[1].triangle_count > 0) return visit_leaves(task, link, nodes);
     const bool splits_first =
         link[1].triangle_count > 0 || (link[0].triangle_count == 0 && nodes[0].radius >= nodes[1].radius);
     const int side = splits_first ? 0 : 1;

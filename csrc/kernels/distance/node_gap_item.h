@@ -62,7 +62,7 @@ struct PairOver {
         const Vec3<double> across = (side == 0 ? 1.0 : -1.0) * (d - dot(d, spin.axis) * spin.axis);
         const double outwards = larger(most(side, 0, across), most(side, 1, across));
         // Between the ends r turns by at most half of the part's angle.
-        const double turned = 0.5 * spin.angle * length * pair.from_axis(side);
+        const double turned = 0.5 * spin.angle * length * pair.from_axis(side) * norm(across);
         curvature += spin.angle * spin.angle * (outwards + turned);
         rounding += spin.angle * spin.angle * pair.rounding();
       }
