@@ -137,6 +137,26 @@ def test_a_vertex_that_turns_past_another(nearest_at: float, gap: float, side: i
         assert found.time.item() == pytest.approx(nearest_at, abs=1e-3)
 
 
+@pytest.mark.parametrize("nearest_at", [0.37, 0.8])
+def test_a_vertex_whose_acceleration_changes(nearest_at: float) -> None:
+    """A body turns and moves so that its corner is nearest to a corner at rest while it is far to the side of the axis:
+    the acceleration along the gap changes in proportion to time.
+    """
+    wedge = np.array([[4.0, 0, 0], [0.0, 0.05, 0.0], [0.0, -0.05, 0.01], [0.0, 0.0, 0.05]])
+    faces = [[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]]
+    meshes = [pgccd.Mesh(corners, faces, origin=[0.0, 0.0, 0.0]) for corners in (wedge, -wedge)]
+    gap, angle, side = 8.0, -0.5, math.radians(70.0)
+    half, speed = 0.5 * (side - nearest_at * angle), 4.0 * angle * math.sin(side)
+    start = np.array([[0.0, 0, 0], [4.0 * math.cos(side) + speed * nearest_at + gap + 4.0, 4.0 * math.sin(side), 0.0]])
+    end = start + [[speed, 0.0, 0.0], [0.0, 0.0, 0.0]]
+    turn = np.array([[math.cos(half), 0.0, 0.0, math.sin(half)], UPRIGHT])
+    bodies = Moving(meshes, start, turn, end, np.array([[0.0, 0.0, angle], [0.0, 0.0, 0.0]]))
+    for tolerance in (1e-4, 1e-8, 1e-12):
+        found = bodies.distance(tolerance=tolerance)
+        assert found.lower.item() <= gap * (1 + 1e-15) and found.upper.item() >= gap
+        assert found.upper.item() - found.lower.item() <= tolerance + 3e-12
+
+
 def test_many_turns() -> None:
     rng = np.random.default_rng(1)
     bodies = apart(rng, [tetrahedron(), tetrahedron()], 0.3, turn=60.0)
