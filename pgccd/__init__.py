@@ -13,6 +13,7 @@ from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.capacity import Capacity, CapacityError
 from pgccd.detection.captured import CapturedDetection
 from pgccd.detection.contacts import CollidingPairs, Contacts, Stats
+from pgccd.detection.distance import Distances, distance
 from pgccd.detection.enclosed import enclosed
 from pgccd.detection.narrow import Kind, Report, Status
 from pgccd.detection.padded_contacts import PaddedCollidingPairs, PaddedContacts
@@ -43,6 +44,7 @@ __all__ = [
     "CapturedDetection",
     "CollidingPairs",
     "Contacts",
+    "Distances",
     "Kind",
     "Mesh",
     "MeshSet",
@@ -67,6 +69,7 @@ __all__ = [
     "baselines",
     "broad",
     "detect",
+    "distance",
     "distributed",
     "enclosed",
     "files",

@@ -1,6 +1,7 @@
 // The operators on the CPU.
 #include "bind/cpu_session.h"
 #include "bind/detect_ops.h"
+#include "bind/distance_ops.h"
 #include "bind/padded_ops.h"
 #include "bind/row_ops.h"
 #include "bind/simulate_ops.h"
@@ -11,6 +12,7 @@ namespace pgccd::bind {
 
 STABLE_TORCH_LIBRARY_IMPL(pgccd, CPU, library) {
   register_detect_ops<CpuSession>(library);
+  register_distance_ops<CpuSession>(library);
   register_padded_ops<CpuSession>(library);
   register_row_ops<CpuSession>(library);
   register_simulate_ops<CpuSession>(library);

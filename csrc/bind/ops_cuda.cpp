@@ -3,6 +3,7 @@
 
 #include "bind/cuda_session.h"
 #include "bind/detect_ops.h"
+#include "bind/distance_ops.h"
 #include "bind/graph_ops.h"
 #include "bind/padded_ops.h"
 #include "bind/peer_ops.h"
@@ -14,6 +15,7 @@ namespace pgccd::bind {
 
 STABLE_TORCH_LIBRARY_IMPL(pgccd, CUDA, library) {
   register_detect_ops<CudaSession>(library);
+  register_distance_ops<CudaSession>(library);
   register_padded_ops<CudaSession>(library);
   register_row_ops<CudaSession>(library);
   register_simulate_ops<CudaSession>(library);

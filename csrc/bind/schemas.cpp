@@ -103,6 +103,14 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
       "edge_edge(Tensor points_t0, Tensor points_t1, float min_separation, float tolerance, bool nonzero_toi) -> "
       "(Tensor status, Tensor toi, Tensor coordinates, Tensor significant_bits)");
 
+  // pairs (P, 2) i64; bounds of their distances (P,), the time (P,) and the points (P, 2, 3) of the upper one
+  library.def(
+      "distances_rigid(Tensor[] mesh_set, Tensor[] bodies, bool linear_path, Tensor pairs, float cutoff, "
+      "float tolerance) -> (Tensor lower, Tensor upper, Tensor time, Tensor points)");
+  library.def(
+      "distances_deforming(Tensor[] mesh_set, Tensor[] bodies, Tensor pairs, float cutoff, float tolerance) -> "
+      "(Tensor lower, Tensor upper, Tensor time, Tensor points)");
+
   // Rows of columns: tensors of any type and width with equal numbers of rows.
   // packed (rows, bytes) u8: a row's bytes in all columns, in order; rows, removed (rows,) i64
   library.def("pack_rows(Tensor[] columns, Tensor rows) -> Tensor");

@@ -96,21 +96,32 @@ def detect_segments(
     All segments run as one step of a scene with one copy of each body per segment; the copies of different segments are
     in different worlds, so no broad phase pairs them.
     """
+    if pairs is not None:
+        pairs = check_pairs(pairs, scene, trajectory.orientation is None, ascending=True)
+    copies, steps, of_copies = segments_as_step(scene, trajectory, pairs)
+    found = detect_step(copies, steps, report, pairs=of_copies)
+    return found, *in_scene(found.pairs, scene.body_count)
+
+
+def segments_as_step(
+    scene: Scene, trajectory: Trajectory, pairs: Tensor | None
+) -> tuple[Scene, RigidMotion | VertexMotion, Tensor | None]:
+    """All segments of a trajectory as one step of a scene with one copy of each body per segment, and the checked pairs
+    (P, 2) of the scene in each of them, (S P, 2).
+    """
     steps = trajectory.steps()
     segments, count = trajectory.segment_count, scene.body_count
     check_scene(scene._detached())
     check_trajectory(scene, trajectory)
     copies = repeated(scene, segments)
     copies.margin = trajectory._margins(copies.margin, count)
-    if pairs is not None:
-        given = check_pairs(pairs, scene, trajectory.orientation is None, ascending=True)
-        first_body = torch.arange(segments, device=scene.device)[:, None, None] * count
-        pairs = (given + first_body).reshape(-1, 2)
-    found = detect_step(copies, steps, report, pairs=pairs)
-    return found, *_in_scene(found.pairs, count)
+    if pairs is None:
+        return copies, steps, None
+    first_body = torch.arange(segments, device=scene.device)[:, None, None] * count
+    return copies, steps, (pairs + first_body).reshape(-1, 2)
 
 
-def _in_scene(pairs: Tensor, count: int) -> tuple[Tensor, Tensor]:
+def in_scene(pairs: Tensor, count: int) -> tuple[Tensor, Tensor]:
     """Of pairs (K, 2) of the copies of `count` bodies the segment (K,) and the pair (K, 2) of the scene."""
     segment = torch.div(pairs[:, 0], max(1, count), rounding_mode="floor")
     return segment, pairs - segment[:, None] * count
@@ -135,7 +146,7 @@ def detect_trajectory(
 def _of_trajectory(found: Contacts, scene: Scene, segments: int, report: narrow.Report) -> TrajectoryContacts:
     """Contacts along a trajectory, from those of all its segments."""
     count = scene.body_count
-    segment, pairs = _in_scene(found.pairs, count)
+    segment, pairs = in_scene(found.pairs, count)
     chosen: Tensor | slice = slice(None)
     if report == "first":
         chosen = _first_of_pairs(pairs, count)
@@ -162,7 +173,7 @@ def _approaching(
 ) -> TrajectoryContacts:
     """The first contacts that approach of some pairs (P, 2), from those of all segments, see `Cause.again`."""
     count = scene.body_count
-    _, of_scene = _in_scene(found.pairs, count)
+    _, of_scene = in_scene(found.pairs, count)
     keys, wanted = (each[:, 0] * count + each[:, 1] for each in (of_scene, pairs))
     return _of_trajectory(found[torch.isin(keys, wanted)].approaching(slack), scene, segments, "first")
 

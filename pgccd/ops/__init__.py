@@ -22,6 +22,7 @@ from pgccd.ops.detection import (
     traverse,
     vertex_face,
 )
+from pgccd.ops.distance import distances
 from pgccd.ops.graphs import begin_conditional, end_conditional, has_conditional_nodes
 from pgccd.ops.library import Bodies, set_device_share, take_scratch_peak
 from pgccd.ops.peers import peer_gather, peer_minimum

@@ -145,6 +145,8 @@ def recorded(device: torch.device) -> list[Call]:
             asked = moving.mesh_set, moving.tensors, False, pairs, counts_of_given(pairs)
             for report in ("any", "all"):
                 pgccd.detect(scene, bodies.motion(device=device), report, pairs=pairs)  # type: ignore[arg-type]
+            for motion in (bodies.motion(device=device), moved):
+                pgccd.distance(scene, motion, pairs=pairs)
             lower_first_toi(first, pairs, *asked, FIRST_CONTACTS, capacity)
             turn = bodies.orientation_t0
             pgccd.RigidMotion(*tensors(bodies.position_t0, turn, bodies.position_t1, turn[::-1].copy(), device=device))

@@ -1,9 +1,23 @@
 """All mutants, by what they change; see tests/mutants.py."""
 
-from mutants_of import arms, bounds, boxes, broad, core, narrow, ranks, search, separation, solver, traverse, voxels
+from mutants_of import (
+    arms,
+    bounds,
+    boxes,
+    broad,
+    core,
+    distance,
+    narrow,
+    ranks,
+    search,
+    separation,
+    solver,
+    traverse,
+    voxels,
+)
 from mutants_of.mutant import Mutant
 
 __all__ = ["MUTANTS", "Mutant"]
 
-_MODULES = (arms, bounds, boxes, broad, core, narrow, ranks, search, separation, solver, traverse, voxels)
+_MODULES = (arms, bounds, boxes, broad, core, distance, narrow, ranks, search, separation, solver, traverse, voxels)
 MUTANTS = [mutant for module in _MODULES for mutant in module.MUTANTS]

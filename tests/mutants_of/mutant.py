@@ -30,6 +30,7 @@ NARROW = "csrc/kernels/narrow/"
 BROAD = "csrc/kernels/broad/"
 BOUNDS = "csrc/kernels/bounds/"
 VOXEL = "csrc/kernels/voxel/"
+DISTANCE = "csrc/kernels/distance/"
 
 ON_TRAVERSE = ("kernels/test_margins_traverse.py",)
 ON_NARROW = ("kernels/test_margins_narrow.py", "kernels/test_margins_candidates.py")
@@ -47,6 +48,7 @@ ON_CROSSING = ("detection/test_intersecting.py",)
 ON_SIZES = ("detection/test_unequal_sizes.py",)
 ON_SUPPORTS = ("kernels/test_node_supports.py",)
 ON_FAST_SPINS = ("detection/test_fast_spins.py",)
+ON_DISTANCE = ("detection/test_distance.py",)
 
 LOCAL_ROUNDING = "kLocalRounding, 64 units of the whole local frame, includes it"
 SPARE = "covered by the 32 units of the extent, of which the projected gap needs at most 12"
