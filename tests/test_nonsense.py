@@ -205,6 +205,10 @@ def calls(folder: Path) -> dict[str, Call]:
             | {"normals": "surface", "memory_budget": 1 << 20, "pairs": pairs, "capacity": None},
             {"capacity": ("normals",)},
         ),
+        "distance": Call(
+            pgccd.distance,
+            {"scene": scene, "motion": motion, "cutoff": 0.1, "pairs": pairs, "tolerance": None},
+        ),
         "enclosed": Call(pgccd.enclosed, {"scene": pgccd.Scene([mesh], [0, 0]), "motion": motion}),
         "RigidMotion.at": Call(motion.at, {"t": 0.5}),
         "RigidMotion.shortened": Call(motion.shortened, {"fraction": 0.5}),

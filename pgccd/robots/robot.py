@@ -154,10 +154,13 @@ class Robot:
         Example:
             >>> gripper = robot.excluding([("base", "tool")])
         """
+        expected = "links: expected pairs of names, such as [('base', 'tool')]"
+        if not isinstance(links, Iterable):
+            raise TypeError(f"{expected}, got {arguments.describe(links)}")
         given = list(links)
         for pair in given:
             if isinstance(pair, str) or not isinstance(pair, Sequence) or len(pair) != 2:
-                raise TypeError(f"links: expected pairs of names, such as [('base', 'tool')], got {given!r}")
+                raise TypeError(f"{expected}, got {given!r}")
         return self._excluding([(self._link(a), self._link(b)) for a, b in given])
 
     def _excluding(self, links: Iterable[tuple[int, int]]) -> Robot:
@@ -380,7 +383,7 @@ class Robot:
         """
         from pgccd.robots.path_search import PathSearch
 
-        if obstacles is not None and isinstance(obstacles, Obstacles) and obstacles.environments not in (None, 1):
+        if isinstance(obstacles, Obstacles) and obstacles.environments not in (None, 1):
             expected = "obstacles of one environment, with poses (M, 3) and (M, 4)"
             raise ValueError(f"obstacles: expected {expected}, got those of {obstacles.environments}")
         search = PathSearch(self, obstacles, resolution)

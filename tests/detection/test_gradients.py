@@ -416,7 +416,11 @@ def test_refusals_name_what_was_passed() -> None:
         lambda motion: world.step(motion, resolve=True),
     ]
     for name, make in motions.items():
-        for call in (*calls, lambda motion: pgccd.CapturedDetection(scene(), motion)):
+        for call in (
+            *calls,
+            lambda motion: pgccd.CapturedDetection(scene(), motion),
+            lambda motion: pgccd.distance(scene(), motion, cutoff=1.0),
+        ):
             with pytest.raises(ValueError, match=rf"^{name}: requires grad.*{name}\.detach\(\)"):
                 call(make())
     trajectories: dict[str, Callable[[], Any]] = {

@@ -110,7 +110,7 @@ def test_joined_links_are_not_tested(tmp_path: Path) -> None:
     assert other.exclude.tolist() == [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]] and len(robot.exclude) == 5
     with pytest.raises(ValueError, match="^links: expected names of links, such as 'base', got 'hand'"):
         robot.excluding([("hand", "link0")])
-    for links in (("link0", "link2"), [("link0",)], [["link0", "link2", "link3"]], [0, 1]):
+    for links in (("link0", "link2"), [("link0",)], [["link0", "link2", "link3"]], [0, 1], 5, None):
         with pytest.raises(TypeError, match="^links: expected pairs of names, such as .*, got "):
             robot.excluding(links)  # type: ignore[arg-type]
 

@@ -146,11 +146,10 @@ def test_too_little_capacity(
     assert kinds[1] is Step and CommittedStep in kinds and len(graphs) > 1 and same(maker.state, last)
 
 
+@pytest.mark.parametrize("device", ON_GPU, indirect=True)
 def test_a_graph_uses_more_memory_than_eager_steps_may(
     device: torch.device, graphs: list[StepGraph], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    if device.type == "cpu":
-        pytest.skip("capacities are exact on a CPU")
     model = Model(ModelConfig(**FAST), device=device)
     expected, last = run_eagerly(model, 12)
     monkeypatch.setattr(pipeline, "memory_limit", lambda budget, *_: budget or 1)

@@ -28,7 +28,7 @@ class WorldOptions(TypedDict, total=False):
 
 
 class NewBodies(TypedDict, total=False):
-    """Of `World.create` and `World.add`; of those that are left out see `World.create`."""
+    """Of `World.create` and `World.add`: columns of bodies, which `World.create` describes with their defaults."""
 
     id: Tensor | None
     mesh_index: Tensor | None
