@@ -117,7 +117,7 @@ def install_torch() -> dict[str, Any]:
 
 
 def install_packages(torch_version: str, wanted: list[str]) -> None:
-    """Those that are missing, as far as they can be had; never another torch."""
+    """Installs those wanted that are missing, as far as they can be had; never another torch."""
     missing = ask(VENV_PYTHON, PRINT_UNMET, *wanted)
     if missing and index_is_reachable():
         constraints = VENV / "constraints.txt"

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from pgccd.detection.broad import select_rows
+from pgccd.distributed.detection.ids import rows_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,16 +41,16 @@ class Excluded:
         return replace(self, period=period)
 
     def leave_out(self, id: Tensor, pairs: Tensor) -> tuple[Tensor, Tensor]:
-        """Selects pairs (P, 2) of rows, -1 for none, that are not in the set, see `select_rows`.
+        """Selects the pairs that are not in the set, see `select_rows`.
 
         Args:
-            id: (N,) of the rows.
+            id: (N,) int64: global ids of the rows.
+            pairs: (P, 2) int64 rows; -1 for no pair.
         """
         of = torch.cat([id, id.new_full((1,), -1)])[pairs]
         of = of.remainder(self.period) if self.period else of
         of = torch.stack([of.amin(dim=1), of.amax(dim=1)], dim=1)
-        place = torch.searchsorted(self.ids, of).clamp(max=len(self.ids) - 1)
+        place = rows_of(self.ids, of)
         key = place[:, 0] * len(self.ids) + place[:, 1]
-        at = torch.searchsorted(self.keys, key).clamp(max=len(self.keys) - 1)
-        is_excluded = (self.ids[place] == of).all(dim=1) & (self.keys[at] == key)
+        is_excluded = (place >= 0).all(dim=1) & (rows_of(self.keys, key) >= 0)
         return select_rows(pairs, ~is_excluded & (pairs[:, 0] >= 0))

@@ -13,6 +13,7 @@ from pgccd.detection.contacts import CollidingPairs, Contacts, earliest_row
 from pgccd.detection.trajectories import TrajectoryContacts
 from pgccd.distributed.comm.exchange import Columns, first_row, make_route, take_rows
 from pgccd.distributed.comm.interface import Comm
+from pgccd.distributed.detection.ids import rows_of
 from pgccd.distributed.detection.share import Share
 
 # What `sum_per_body` adds.
@@ -119,19 +120,11 @@ def first_toi_of(id: Tensor, hits: Contacts | CollidingPairs) -> Tensor:
         raise TypeError(f"hits: expected pgccd.Contacts, got {arguments.describe(hits)}")
     first = torch.full((len(id),), torch.inf, dtype=torch.float64, device=id.device)
     time = hits.time if isinstance(hits, TrajectoryContacts) else hits.toi
-    row, toi = rows_of_own(id, hits.pairs.reshape(-1)), time.repeat_interleave(2)
+    row, toi = rows_of(id, hits.pairs.reshape(-1)), time.repeat_interleave(2)
     own = row >= 0
     first = first.scatter_reduce(0, row[own], toi[own], "amin")
     # Others may have contacts as early as the earliest one of the scene, but no earlier ones.
     return first.clamp(max=time.amin()) if hits._is_earliest and len(time) else first
-
-
-def rows_of_own(id: Tensor, bodies: Tensor) -> Tensor:
-    """Rows of bodies of these ids (...) among the ids (N,), which ascend; -1 for others."""
-    if not len(id):
-        return torch.full_like(bodies, -1)
-    row = torch.searchsorted(id, bodies.contiguous()).clamp_(max=len(id) - 1)
-    return torch.where(id[row] == bodies, row, -1)
 
 
 def sum_per_body(id: Tensor, hits: Contacts | CollidingPairs, values: Tensor) -> Tensor:
@@ -152,7 +145,7 @@ def sum_per_body(id: Tensor, hits: Contacts | CollidingPairs, values: Tensor) ->
     if values.shape[:2] != (len(hits), 2) or values.device != id.device:
         expected = f"({len(hits)}, 2, ...) on {id.device}"
         raise ValueError(f"values: expected {expected}, got {tuple(values.shape)} on {values.device}")
-    row = rows_of_own(id, hits.pairs.reshape(-1))
+    row = rows_of(id, hits.pairs.reshape(-1))
     order = torch.argsort(row, stable=True)
     order = order[int((row < 0).sum()) :]  # the others are of bodies of other ranks
     count = torch.zeros_like(id).scatter_add_(0, row[order], torch.ones_like(order))

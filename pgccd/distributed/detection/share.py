@@ -204,7 +204,9 @@ def search_share(
                 both = Vertices.join(vertices, ghost_vertices).take(rows)
             at_boundary = _at_boundary(bodies, ghosts, rows, both, is_padded=not synchronises)
 
-            id_of_rows = torch.cat([held.id, held.id.new_full((1,), -1)])[rows]
+            id_of_rows = held.id  # not read unless pairs are excluded
+            if options.excluded is not None:
+                id_of_rows = torch.cat([held.id, held.id.new_full((1,), -1)])[rows]
             of_rows = None
             if changed is not None:
                 of_rows = torch.cat([changed, held.ghosts["changed"], changed.new_zeros(1)])[rows]

@@ -6,7 +6,8 @@ from torch import Tensor
 
 from pgccd.detection.contacts import CollidingPairs, Contacts
 from pgccd.distributed.comm.exchange import Columns
-from pgccd.distributed.detection.report import first_toi_of, rows_of_own, sum_per_body
+from pgccd.distributed.detection.ids import rows_of
+from pgccd.distributed.detection.report import first_toi_of, sum_per_body
 from pgccd.distributed.halo.vertices import Vertices
 from pgccd.distributed.world.columns import require_ids, scene_of
 from pgccd.geometry.mesh import MeshSet
@@ -72,7 +73,7 @@ class OwnBodies:
             >>> own = row[row >= 0]
         """
         require_ids(ids, self.id.device)
-        return rows_of_own(self.id, ids)
+        return rows_of(self.id, ids)
 
     def sum_per_body(self, hits: Contacts | CollidingPairs, values: Tensor) -> Tensor:
         """Sums values of contacts, such as impulses, over the contacts of each own body.

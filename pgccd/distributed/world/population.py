@@ -10,7 +10,7 @@ from torch import Tensor
 from pgccd import arguments
 from pgccd.distributed.comm.exchange import Columns, pack, replace_rows
 from pgccd.distributed.comm.interface import Comm
-from pgccd.distributed.detection.report import rows_of_own
+from pgccd.distributed.detection.ids import rows_of
 from pgccd.distributed.guard import of_all_ranks
 from pgccd.distributed.halo.vertices import Vertices
 from pgccd.distributed.launch.agreement import require_agreement, together
@@ -43,7 +43,6 @@ def with_more(comm: Comm, state: WorldState, position: Tensor, bodies: NewBodies
     Raises:
         TypeError, ValueError: naming the argument; on all ranks.
     """
-
     id = bodies.get("id")
 
     def check() -> tuple[Columns, Vertices | None]:
@@ -93,10 +92,10 @@ def without(comm: Comm, state: WorldState, ids: Tensor) -> WorldState:
             raise ValueError(f"ids: expected shape (M,), got {tuple(ids.shape)}")
 
     together(comm, check)
-    mine = rows_of_own(own, ids)
+    mine = rows_of(own, ids)
     # Few ids are those of bodies of other ranks, usually: all ranks look for them.
     asked = from_all_ranks(comm, ids[mine < 0].unique())
-    theirs = rows_of_own(own, asked)
+    theirs = rows_of(own, asked)
     unknown = unknown_ids(comm, own, asked)
     if len(unknown):
         raise of_all_ranks(ValueError(f"ids: expected ids of bodies of this world, got {int(unknown.min())}"))

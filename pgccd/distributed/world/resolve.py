@@ -21,8 +21,9 @@ from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.contacts import Contacts
 from pgccd.detection.passes import search_seconds
 from pgccd.distributed.comm.exchange import Columns
+from pgccd.distributed.detection.ids import rows_of
 from pgccd.distributed.detection.options import PassEstimates, SearchOptions
-from pgccd.distributed.detection.report import columns_for_owners, rows_of_own, tell_owners
+from pgccd.distributed.detection.report import columns_for_owners, tell_owners
 from pgccd.distributed.detection.share import Share, search_share
 from pgccd.distributed.halo.vertices import Vertices, vertex_counts
 from pgccd.distributed.partition.decomposition import Decomposition
@@ -124,7 +125,7 @@ class ResolvedStep(Generic[M]):
         body has changed.
         """
         pairs, toi = columns["pairs"], columns["toi"]
-        rows = rows_of_own(self.whole.held.own_id, pairs)
+        rows = rows_of(self.whole.held.own_id, pairs)
         for row in rows.unbind(1):
             bodies.lower(row, toi)
         for row, other in zip(rows.unbind(1), pairs.flip(1).unbind(1), strict=True):
