@@ -55,7 +55,7 @@ def check(
     device: torch.device | str = "cpu",
     dtype: torch.dtype = torch.float64,
 ) -> int:
-    """Checks the contract of section 5 of the design query by query. Returns the number of true contacts."""
+    """Checks the contract of elementary tests query by query. Returns the number of true contacts."""
     status, toi, coordinates = solve(start, end, is_face, min_separation, tolerance, nonzero_toi, device, dtype)
     assert set(status.tolist()) <= {pgccd.Status.FREE, pgccd.Status.TOUCH, pgccd.Status.UNRESOLVED}
     assert np.isinf(toi[status == pgccd.Status.FREE]).all()
