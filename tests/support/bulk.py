@@ -108,7 +108,7 @@ def compare(
     name: str,
     is_near: Callable[[int], bool] = lambda row: False,
 ) -> Tally:
-    """Section 5 of the design, query by query; `at_toi` (n, 4, 3): points at the reported toi, rounded.
+    """The contract of elementary tests, query by query; `at_toi` (n, 4, 3): points at the reported toi, rounded.
 
     `is_near` decides exactly whether a touch that the batch oracle left undecided is within the allowed distance.
     """
