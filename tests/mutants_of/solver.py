@@ -42,7 +42,16 @@ MUTANTS = [
         switched=False,
     ),
     _mutant("rate-between-edges", APPROACH, "torch.stack([1.0 - v, zero, v], 1)", "torch.stack([1.0 - v, v, zero], 1)"),
+    _mutant("recedes-slack-1.001", APPROACH, "needed = gap - slack", "needed = gap - 1.001 * slack"),
+    _mutant("recedes-gap-0.999", APPROACH, "needed = gap - slack", "needed = 0.999 * gap - slack"),
     _mutant("recedes-at-toi-only", APPROACH, "torch.minimum(*gaps)", "gaps[0]"),
+    _mutant("recedes-unresolved", APPROACH, "(status == Status.TOUCH) & (sites.kind", "(sites.kind"),
+    _mutant(
+        "recedes-intersecting",
+        APPROACH,
+        "(status == Status.TOUCH) & (sites.kind <= Kind.EE)",
+        "(status == Status.TOUCH)",
+    ),
     _mutant("recedes-some-faces", APPROACH, '"amin", 1.0) > 0.0', '"amax", 1.0) > 0.0'),
     _mutant(
         "recedes-faces-of-one", APPROACH, "for side in (0, 1):\n        what =", "for side in (0,):\n        what ="
@@ -54,9 +63,16 @@ MUTANTS = [
         "_ = torch.minimum(gap, torch.minimum(",
     ),
     _mutant(
+        "recedes-from-the-other-side",
+        APPROACH,
+        "(dot(direction, offset[sets.owner]) >= -noise[sets.owner])",
+        "(norm(direction) > 0.0)",
+    ),
+    _mutant(
         "recedes-one-sided", APPROACH, "stays & met[owner] & ~is_sided", "stays & met[owner] & is_sided & ~is_sided"
     ),
     _mutant("recedes-chord", APPROACH, "high.clamp(min=0.0) * length", "0.0 * high * length"),
+    _mutant("recedes-chord-0.99", APPROACH, "length * length / 8.0", "0.99 * length * length / 8.0"),
     _mutant("recedes-tangent", APPROACH, "0.5 * low * bottom", "0.5 * high * bottom"),
     _mutant(
         "recedes-curvature",
