@@ -92,14 +92,11 @@ def _of_all(sites: Sites, normal: Tensor) -> Tensor:
     offset, noise = sites.offset()
     surfaces = [_Surface.of(sites, sides[k], sides[1 - k], offset, noise, normal) for k in (0, 1)]
     one, other = surfaces
-    # A surface with few directions has the last word.
-    last_is_one = one.is_rigid & ~other.is_rigid
     by_other = other.nearest(one.nearest(normal))
     by_one = one.nearest(other.nearest(normal))
-    on_one, on_other = (side.what == FACE for side in sides)
-    by_one = torch.where(on_one[:, None], one.of_faces(normal), by_one)
-    by_other = torch.where(on_other[:, None], other.of_faces(normal), by_other)
-    return torch.where((on_one | (last_is_one & ~on_other))[:, None], by_one, by_other)
+    # A surface with few directions has the last word.
+    last_is_one = (sides[0].what == FACE) | (one.is_rigid & ~other.is_rigid)
+    return torch.where(last_is_one[:, None], by_one, by_other)
 
 
 @dataclass
@@ -143,11 +140,6 @@ class _Surface:
         edge_owner = edge_owner[kept]
         is_rigid = torch.ones(len(sites), dtype=torch.bool, device=offset.device).index_fill(0, edge_owner, False)
         return cls(own.side, own.owner, normals, own.away, edge_owner, along[kept], apexes[kept], is_rigid)
-
-    def of_faces(self, normal: Tensor) -> Tensor:
-        """The normals (K, 3), replaced by that of the face of contacts that have a single one, if it has an area."""
-        found = normal.index_copy(0, self.owner, self.normals)
-        return torch.where((norm(found) > 0.0)[:, None], found, normal)
 
     def nearest(self, normal: Tensor) -> Tensor:
         """(K, 3): of the normals that this surface may have those nearest to `normal` (K, 3)."""
