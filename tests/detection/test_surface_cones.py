@@ -287,3 +287,24 @@ def test_edges_that_coincide_were_apart_before() -> None:
     assert edges_meet([UPPER, LOWER], down, travel=up, toi=0.5).tolist() == list(down)
     along = edges_meet([ridge(1, 1.0), LOWER], (0.0, 0.0, 0.0), travel=(-0.6, 0.0, 0.8))
     torch.testing.assert_close(along, torch.tensor([0.6, 0.0, -0.8]).double())
+
+
+@pytest.mark.parametrize("is_inside", [True, False])
+def test_beside_an_edge_of_a_solid(is_inside: bool) -> None:
+    """A blade that is in front of one face, and behind the plane of the other one, where the surface is convex."""
+    section = [(0.0, 0.0), (-1.0, 1.0), (0.0, -1.0), (1.0, 1.0)] if is_inside else [(0, 0), (-1, -1), (0, -2), (1, -1)]
+    points = [[x, y, z] for y in (-1.0, 1.0) for x, z in section]
+    sides = [face for k in range(4) for m in [(k + 1) % 4] for face in ([k, k + 4, m], [m, k + 4, m + 4])]
+    solid = pgccd.Mesh(points, [*sides, [0, 1, 2], [0, 2, 3], [4, 6, 5], [4, 7, 6]])
+    for x, z in ((-0.5, -0.25), (-0.5, 0.25), (0.5, -0.25), (0.5, 0.25)):
+        offset = torch.tensor([-x, 0.0, -z], dtype=torch.float64)
+        corners = [[0.2 * x + s * z, 0.0, 0.2 * z - s * x] for s in (0.02, -0.02)]
+        blade = pgccd.Mesh([[0.0, -0.1, 0.0], [0.0, 0.1, 0.0], *corners], [[0, 1, 2], [1, 0, 3]])
+        edges = [mesh.edges.tolist().index(ends) for mesh, ends in ((blade, [0, 1]), (solid, [0, 4]))]
+        normal = torch.nn.functional.normalize(offset, dim=0)
+        expected = torch.tensor([-x, 0.0, 0.5 if is_inside else -0.5], dtype=torch.float64) / math.sqrt(0.5)
+        from_blade = meeting(pgccd.Kind.EE, [blade, solid], edges, (0.5, 0.5), normal.tolist(), offset)
+        torch.testing.assert_close(from_blade, expected)
+        # In the other order the blade has the last word.
+        to_blade = meeting(pgccd.Kind.EE, [solid, blade], edges[::-1], (0.5, 0.5), (-normal).tolist(), -offset)
+        assert float(to_blade @ expected) < -0.3

@@ -157,6 +157,8 @@ MUTANTS = [
     _mutant("normals-noise", NORMALS, "height.abs() > noise[owner]", "height.abs() > 0.0 * noise[owner]"),
     _mutant("normals-no-reach", NORMALS, "is_above.double() - is_below.double()", "0.0 * is_above.double()"),
     _mutant("normals-no-solid", NORMALS, "sign = torch.where(sign == 0.0, solid, sign)", "_ = solid"),
+    _mutant("normals-beside", NORMALS, "sign = torch.where((over != 0.0) & (solid != 0.0), over, sign)", "_ = over"),
+    _mutant("normals-over-all", NORMALS, "is_elsewhere | (dot(inward, point) >= 0.0)", "is_elsewhere | ~is_elsewhere"),
     _mutant("normals-no-partner", NORMALS, "facing.abs() > 0.5", "facing.abs() > 2.0"),
     _mutant("normals-outside", NORMALS, "outside = -1.0 if own.side == 1 else 1.0", "outside = 1.0"),
     _mutant("normals-reversed", NORMALS, "torch.where(sites.is_reversed(normal)[:, None], -normal, normal)", "normal"),
