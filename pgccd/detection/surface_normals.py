@@ -58,6 +58,24 @@ class _Side:
         out = sites.incidence.outward[sites.mesh[:, side]][:, None] * _wound(away[first])
         return cls(side, what, row, point, owner, face, away, out)
 
+    def over(self, offset: Tensor, noise: Tensor) -> Tensor:
+        """(K,): 1 or -1: on which side of the nearest face that they are over offsets (K, 3) end, by the order of its
+        corners, if they are more than `noise` (K,) from its plane; 0 without such a face.
+        """
+        wound, point = _wound(self.away), offset[self.owner]
+        height = dot(wound, point)
+        is_over = height.abs() > noise[self.owner]
+        for k in range(3):
+            start, end = self.away[:, k], self.away[:, (k + 1) % 3]
+            inward = cross(wound, end - start)
+            is_elsewhere = -dot(inward, start) > _FLAT * norm(inward) * norm(start)
+            is_over = is_over & (is_elsewhere | (dot(inward, point) >= 0.0))
+        above, below = (
+            reduced(torch.where(is_over & (h > 0.0), h, torch.inf), self.owner, len(noise), "amin", torch.inf)
+            for h in (height, -height)
+        )
+        return (above < below).double() - (below < above).double()
+
 
 def _corners(sites: Sites, side: int, point: Tensor, owner: Tensor, face: Tensor) -> Tensor:
     """(m, 3, 3): corners of faces (m,) of one side, relative to a point (K, 3) of contacts (m,)."""
@@ -92,14 +110,11 @@ def _of_all(sites: Sites, normal: Tensor) -> Tensor:
     offset, noise = sites.offset()
     surfaces = [_Surface.of(sites, sides[k], sides[1 - k], offset, noise, normal) for k in (0, 1)]
     one, other = surfaces
-    # A surface with few directions has the last word.
-    last_is_one = one.is_rigid & ~other.is_rigid
     by_other = other.nearest(one.nearest(normal))
     by_one = one.nearest(other.nearest(normal))
-    on_one, on_other = (side.what == FACE for side in sides)
-    by_one = torch.where(on_one[:, None], one.of_faces(normal), by_one)
-    by_other = torch.where(on_other[:, None], other.of_faces(normal), by_other)
-    return torch.where((on_one | (last_is_one & ~on_other))[:, None], by_one, by_other)
+    # A surface with few directions has the last word.
+    last_is_one = (sides[0].what == FACE) | (one.is_rigid & ~other.is_rigid)
+    return torch.where(last_is_one[:, None], by_one, by_other)
 
 
 @dataclass
@@ -143,11 +158,6 @@ class _Surface:
         edge_owner = edge_owner[kept]
         is_rigid = torch.ones(len(sites), dtype=torch.bool, device=offset.device).index_fill(0, edge_owner, False)
         return cls(own.side, own.owner, normals, own.away, edge_owner, along[kept], apexes[kept], is_rigid)
-
-    def of_faces(self, normal: Tensor) -> Tensor:
-        """The normals (K, 3), replaced by that of the face of contacts that have a single one, if it has an area."""
-        found = normal.index_copy(0, self.owner, self.normals)
-        return torch.where((norm(found) > 0.0)[:, None], found, normal)
 
     def nearest(self, normal: Tensor) -> Tensor:
         """(K, 3): of the normals that this surface may have those nearest to `normal` (K, 3)."""
@@ -223,9 +233,9 @@ def _sign_out(
     normal: Tensor,
 ) -> Tensor:
     """(m,): 1 where the normals `wound` (m, 3) of faces (m,) of the surface of one side point to where the other
-    surface is, -1 where they point away: by the nearest points; where they coincide by the other surface around the
-    point, if it is on one side; then by the order of corners of a closed mesh, this one or the other; then by the
-    `normal` (K, 3).
+    surface is, -1 where they point away: by the nearest points, on a closed mesh by the face that they are over; where
+    they coincide by the other surface around the point, if it is on one side; then by the order of corners of a closed
+    mesh, this one or the other; then by the `normal` (K, 3).
     """
     towards = offset if own.side == 0 else -offset
     height = dot(towards[owner], wound)
@@ -234,6 +244,9 @@ def _sign_out(
     is_above, is_below = reach[0] > _ONE_SIDED * reach[1], reach[1] > _ONE_SIDED * reach[0]
     sign = torch.where(sign == 0.0, is_above.double() - is_below.double(), sign)
     solid = sites.incidence.outward[sites.mesh[:, own.side]][owner]
+    # Beside an edge the other surface is behind the plane of one face, though not within the solid.
+    over = own.over(towards, noise)[owner]
+    sign = torch.where((over != 0.0) & (solid != 0.0), over, sign)
     sign = torch.where(sign == 0.0, solid, sign)
     facing = -dot(other.out[owner], wound)
     sign = torch.where((sign == 0.0) & (facing.abs() > 0.5), torch.sign(facing), sign)

@@ -189,6 +189,16 @@ def test_what_passes_between_the_ends_of_windows(device: torch.device) -> None:
     assert pgccd.detect(scene, motion).approaching().toi.tolist() == [0.0]
 
 
+def test_the_slack_on_curved_paths(device: torch.device) -> None:
+    """The middle of the first of 16 windows is the lowest point of a tip's circle."""
+    angle = 0.1
+    scene, motion = pendulum(-angle, 32 * angle, 0.0, device)
+    hits = pgccd.detect(scene, motion)
+    depth = 1.0 - math.cos(angle)
+    assert hits.toi.tolist() == [0.0]
+    assert len(hits.approaching(depth - 1e-5)) == 1 and len(hits.approaching(depth + 1e-5)) == 0
+
+
 def test_flat_surfaces_that_pass_through_one_another() -> None:
     """Nothing around the contacts says on which side they are, only that they are apart at toi, or were before."""
     for turned_over in (False, True):
@@ -198,12 +208,17 @@ def test_flat_surfaces_that_pass_through_one_another() -> None:
             hits = pgccd.detect(scene, motion)
             assert len(hits) == 1 and float(hits.toi) > 0.0
             assert len(hits.approaching()) == 1
+        # Apart at toi by less than the slack: in the opposite direction they stay that near.
+        scene, motion = sliding("rigid", meshes, (0.1, 0.2, 1e-6), (0.1, 0, -1e-3))
+        hits = pgccd.detect(scene, motion, min_separation=2e-6)
+        assert hits.toi.tolist() == [0.0] and len(hits.approaching(1e-5)) == 1
 
 
 def test_the_slack(device: torch.device) -> None:
-    scene, motion = sliding("rigid", [CUBE, FLOOR], (0, 0, 0.5), (1.0, 0, -1e-3), device)
-    hits = pgccd.detect(scene, motion)
-    assert len(hits.approaching(1.01e-3)) == 0 and len(hits.approaching(0.99e-3)) == 1
+    for gap in (0.4, 0.0):
+        scene, motion = sliding("rigid", [CUBE, FLOOR], (0, 0, 0.5 + gap), (1.0, 0, -1e-3), device)
+        hits = pgccd.detect(scene, motion, min_separation=2.0 * gap)
+        assert len(hits.approaching((1.0 + 1e-6) * 1e-3)) == 0 and len(hits.approaching((1.0 - 1e-6) * 1e-3)) == 1
     assert len(pgccd.detect(scene, motion, tolerance=1.01e-3).approaching()) == 0
     # Nothing is certain to the last bit.
     scene, motion = sliding("rigid", [CUBE, FLOOR], (0, 0, 0.5), (1.0, 0, 0.0), device)
@@ -262,29 +277,32 @@ def test_rates_are_those_of_the_distance() -> None:
     hits = pgccd.detect(scene, motion, min_separation=0.1, tolerance=1e-10)
     u, s = hits.coordinates.unbind(1)
     inside = (torch.minimum(u, s) > 0.01) & (torch.where(hits.kind == pgccd.Kind.EE, torch.maximum(u, s), u + s) < 0.99)
-    seen = {kind: 0 for kind in (pgccd.Kind.VF_AB, pgccd.Kind.VF_BA, pgccd.Kind.EE)}
-    for row in torch.nonzero(inside & (hits.toi > 1e-4) & (hits.toi < 1.0 - 1e-4)).flatten().tolist():
-        kind, toi = int(hits.kind[row]), float(hits.toi[row])
-        at = []
-        for time in (toi - 1e-5, toi + 1e-5):
-            position, orientation = motion[hits.pairs[row]].at(time)
-            corners = mesh.vertices @ _matrices(orientation).transpose(1, 2) + position[:, None]
-            at.append(_distance(mesh, kind, hits.features[row].tolist(), corners))
-        assert float(hits.approach[row]) == pytest.approx((at[0] - at[1]) / 2e-5, rel=1e-4, abs=1e-4), row
-        seen[kind] += 1
-    assert min(seen.values()) > 10, seen
+    hits = hits[inside & (hits.toi > 1e-4) & (hits.toi < 1.0 - 1e-4)]
+    times = hits.toi.repeat_interleave(2) + torch.tensor([[-1e-5], [1e-5]], dtype=torch.float64)
+    position, orientation = motion[hits.pairs.flatten()].at(times)
+    corners = mesh.vertices @ _matrices(orientation).transpose(2, 3) + position[:, :, None]
+    before, after = _distances(mesh, hits, corners.view(2, len(hits), 2, -1, 3))
+    torch.testing.assert_close(hits.approach, (before - after) / 2e-5, rtol=1e-4, atol=1e-4)
+    assert all(int((hits.kind == kind).sum()) > 10 for kind in (pgccd.Kind.VF_AB, pgccd.Kind.VF_BA, pgccd.Kind.EE))
 
 
-def _distance(mesh: pgccd.Mesh, kind: int, features: list[int], corners: Tensor) -> float:
-    """Of the plane of a face from a vertex, or of the lines of two edges; corners (2, V, 3)."""
-    if kind == pgccd.Kind.EE:
-        (a, b), (c, d) = (corners[side, mesh.edges[features[side]].long()] for side in (0, 1))
-        across, between = torch.linalg.cross(b - a, d - c), c - a
-    else:
-        face = 1 if kind == pgccd.Kind.VF_AB else 0
-        a, b, c = corners[face, mesh.faces[features[face]].long()]
-        across, between = torch.linalg.cross(b - a, c - a), corners[1 - face, features[1 - face]] - a
-    return float((across @ between).abs() / across.norm())
+def _distances(mesh: pgccd.Mesh, hits: pgccd.Contacts, corners: Tensor) -> Tensor:
+    """(T, K): of the planes of faces from vertices, or of the lines of two edges; corners (T, K, 2, V, 3)."""
+    found = torch.zeros(corners.shape[:2], dtype=torch.float64)
+    every = torch.arange(len(hits))
+    for kind in (pgccd.Kind.VF_AB, pgccd.Kind.VF_BA, pgccd.Kind.EE):
+        rows = every[hits.kind == kind][:, None]
+        one, other = hits.features[rows[:, 0]].long().unbind(1)
+        if kind == pgccd.Kind.EE:
+            a, b = corners[:, rows, 0, mesh.edges[one].long()].unbind(2)
+            c, d = corners[:, rows, 1, mesh.edges[other].long()].unbind(2)
+            across, between = torch.linalg.cross(b - a, d - c), c - a
+        else:
+            side, face, vertex = (1, other, one) if kind == pgccd.Kind.VF_AB else (0, one, other)
+            a, b, c = corners[:, rows, side, mesh.faces[face].long()].unbind(2)
+            across, between = torch.linalg.cross(b - a, c - a), corners[:, rows[:, 0], 1 - side, vertex] - a
+        found[:, rows[:, 0]] = (across * between).sum(2).abs() / across.norm(dim=2)
+    return found
 
 
 def test_rates_have_gradients(device: torch.device) -> None:
@@ -315,10 +333,21 @@ def test_gradients_of_contacts_behind_a_resting_one(device: torch.device) -> Non
 
 
 def test_intersections_stay_in(device: torch.device) -> None:
+    """Whatever the slack."""
     scene, motion = sliding("rigid", [CUBE, FLOOR], (0, 0, 0.4), (0, 0, 0.2), device)
     hits = pgccd.detect(scene, motion)
     assert len(hits.approaching()) == 1
-    assert pgccd.detect(scene, motion, "all").approach.isfinite().all()
+    hits = pgccd.detect(scene, motion, "all")
+    is_crossing = hits.kind >= pgccd.Kind.EF_AB
+    assert hits.approach.isfinite().all() and is_crossing.any() and not is_crossing.all()
+    assert hits.approaching(10.0) == hits[is_crossing]
+
+
+def test_what_is_unresolved_stays_in(device: torch.device) -> None:
+    scene, motion = sliding("rigid", [CUBE, FLOOR], (0, 0, 0.5), (0, 0, 0.2), device)
+    hits = pgccd.detect(scene, motion, "all")
+    hits.status[1::2] = pgccd.Status.UNRESOLVED
+    assert len(hits) > 2 and hits.approaching(10.0) == hits[1::2]
 
 
 def test_refusals() -> None:

@@ -7,7 +7,7 @@ from mutants_of.mutant import Mutant
 APPROACH = "pgccd/detection/approach.py"
 NORMALS = "pgccd/detection/surface_normals.py"
 ON_APPROACH = ("detection/test_approaching.py",)
-ON_NORMALS = ("detection/test_surface_normals.py",)
+ON_NORMALS = ("detection/test_surface_cones.py", "detection/test_surface_normals.py")
 
 
 def _mutant(name: str, file: str, old: str, new: str, within: str = "", equivalent: str = "") -> Mutant:
@@ -42,7 +42,16 @@ MUTANTS = [
         switched=False,
     ),
     _mutant("rate-between-edges", APPROACH, "torch.stack([1.0 - v, zero, v], 1)", "torch.stack([1.0 - v, v, zero], 1)"),
+    _mutant("recedes-slack-1.001", APPROACH, "needed = gap - slack", "needed = gap - 1.001 * slack"),
+    _mutant("recedes-gap-0.999", APPROACH, "needed = gap - slack", "needed = 0.999 * gap - slack"),
     _mutant("recedes-at-toi-only", APPROACH, "torch.minimum(*gaps)", "gaps[0]"),
+    _mutant("recedes-unresolved", APPROACH, "(status == Status.TOUCH) & (sites.kind", "(sites.kind"),
+    _mutant(
+        "recedes-intersecting",
+        APPROACH,
+        "(status == Status.TOUCH) & (sites.kind <= Kind.EE)",
+        "(status == Status.TOUCH)",
+    ),
     _mutant("recedes-some-faces", APPROACH, '"amin", 1.0) > 0.0', '"amax", 1.0) > 0.0'),
     _mutant(
         "recedes-faces-of-one", APPROACH, "for side in (0, 1):\n        what =", "for side in (0,):\n        what ="
@@ -54,9 +63,16 @@ MUTANTS = [
         "_ = torch.minimum(gap, torch.minimum(",
     ),
     _mutant(
+        "recedes-from-the-other-side",
+        APPROACH,
+        "(dot(direction, offset[sets.owner]) >= -noise[sets.owner])",
+        "(norm(direction) > 0.0)",
+    ),
+    _mutant(
         "recedes-one-sided", APPROACH, "stays & met[owner] & ~is_sided", "stays & met[owner] & is_sided & ~is_sided"
     ),
     _mutant("recedes-chord", APPROACH, "high.clamp(min=0.0) * length", "0.0 * high * length"),
+    _mutant("recedes-chord-0.99", APPROACH, "length * length / 8.0", "0.99 * length * length / 8.0"),
     _mutant("recedes-tangent", APPROACH, "0.5 * low * bottom", "0.5 * high * bottom"),
     _mutant(
         "recedes-curvature",
@@ -87,6 +103,12 @@ MUTANTS = [
     ),
     _mutant("normals-clamped", NORMALS, "is_changed = ~is_kept & (first", "is_changed = (is_kept | ~is_kept) & (first"),
     _mutant(
+        "normals-farthest",
+        NORMALS,
+        "nearness = torch.where(usable, dot(normal[owner], candidates)",
+        "nearness = torch.where(usable, -dot(normal[owner], candidates)",
+    ),
+    _mutant(
         "normals-all-convex",
         NORMALS,
         "(dot(normal, of_apex) < -_FLAT * distance)",
@@ -94,7 +116,31 @@ MUTANTS = [
     ),
     _mutant("normals-flat-is-convex", NORMALS, "< -_FLAT * distance", "< _FLAT * distance"),
     _mutant(
+        "normals-concave-is-convex",
+        NORMALS,
+        "(dot(normal, of_apex) < -_FLAT * distance)",
+        "(dot(normal, of_apex).abs() > _FLAT * distance)",
+    ),
+    _mutant(
         "normals-none-convex", NORMALS, "is_convex & (count <= 2) & (norm(along) > 0.0)", "is_convex & (count < 0)"
+    ),
+    _mutant(
+        "normals-no-edges",
+        NORMALS,
+        "usable = torch.cat([norm(self.normals) > 0.0, is_sound])",
+        "usable = torch.cat([norm(self.normals) > 0.0, is_sound & ~is_sound])",
+    ),
+    _mutant(
+        "normals-sound-anyway",
+        NORMALS,
+        "is_sound = _is_behind(outside * across[:, None], self.edge_away).all(1) & ",
+        "is_sound = ",
+    ),
+    _mutant(
+        "normals-behind-anyway",
+        NORMALS,
+        "behind = _is_behind(outside * normal[self.owner][:, None], self.away).all(1)",
+        "behind = norm(self.normals) >= 0.0",
     ),
     _mutant(
         "normals-no-faces",
@@ -108,7 +154,17 @@ MUTANTS = [
         "sign = torch.where(height.abs() > noise[owner], torch.sign(height), 0.0)",
         "sign = torch.where(height.abs() > noise[owner], -torch.sign(height), 0.0)",
     ),
+    _mutant("normals-noise", NORMALS, "height.abs() > noise[owner]", "height.abs() > 0.0 * noise[owner]"),
     _mutant("normals-no-reach", NORMALS, "is_above.double() - is_below.double()", "0.0 * is_above.double()"),
+    _mutant("normals-no-solid", NORMALS, "sign = torch.where(sign == 0.0, solid, sign)", "_ = solid"),
+    _mutant("normals-beside", NORMALS, "sign = torch.where((over != 0.0) & (solid != 0.0), over, sign)", "_ = over"),
+    _mutant("normals-over-all", NORMALS, "is_elsewhere | (dot(inward, point) >= 0.0)", "is_elsewhere | ~is_elsewhere"),
     _mutant("normals-no-partner", NORMALS, "facing.abs() > 0.5", "facing.abs() > 2.0"),
     _mutant("normals-outside", NORMALS, "outside = -1.0 if own.side == 1 else 1.0", "outside = 1.0"),
+    _mutant("normals-reversed", NORMALS, "torch.where(sites.is_reversed(normal)[:, None], -normal, normal)", "normal"),
+    _mutant(
+        "normals-parallel", NORMALS, "normal, -unit_or_zero(sites.velocity())", "normal, unit_or_zero(sites.velocity())"
+    ),
+    _mutant("normals-last", NORMALS, "(one.is_rigid & ~other.is_rigid)", "(~one.is_rigid & other.is_rigid)"),
+    _mutant("normals-last-of-a-face", NORMALS, "last_is_one = (sides[0].what == FACE) | (", "last_is_one = ("),
 ]
