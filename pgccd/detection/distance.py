@@ -36,7 +36,7 @@ class Distances:
 
     Example:
         >>> near = pgccd.distance(scene, motion, cutoff=0.1)
-        >>> clearance = near.lower.min()
+        >>> clearance = min(near.lower.tolist(), default=0.1)  # of all pairs: without a row, above the cutoff
     """
 
     pairs: Tensor
@@ -81,9 +81,10 @@ def distance(
         pairs: (P, 2) int64, i < j, in any order: the pairs to measure, each a row of the result. The scene's filters
             and `exclude` are not applied to them. Default: all pairs that they allow and that may come within the
             cutoff.
-        tolerance: length: a search ends once its bounds are so close. Rounding limits it to some 1e-12 of the size and
-            offset of the bodies; see `Distances.converged`. Default: 1e-6 of the smaller SBV radius of each pair. Costs
-            grow slowly as it decreases.
+        tolerance: length: a search ends once its bounds are so close, or it has done the work of about a second on a
+            CPU. Rounding limits it to some 1e-12 of the size and offset of the bodies; see `Distances.converged`.
+            Default: 1e-6 of the smaller radius of each pair, SBV radius and margin. Costs grow slowly as it decreases,
+            unless bodies are equally near in very many places, such as one that turns within another.
 
     Returns:
         Distances, on the scene's device: a row for each of the given pairs, or for those that are not certainly further
@@ -110,23 +111,28 @@ def distance(
         pairs = check_pairs(pairs, scene, deforms=False)
     if isinstance(motion, Trajectory):
         return _along(scene, motion, limit, pairs, accuracy)
-    return _of_step(scene, motion, limit, pairs, accuracy)
+    return _of_step(scene, motion, limit, pairs, accuracy)[0]
 
 
 def _of_step(
     scene: Scene, motion: RigidMotion | VertexMotion, cutoff: float, pairs: Tensor | None, tolerance: float
-) -> Distances:
+) -> tuple[Distances, Tensor]:
+    """The distances of a step, and for each row the tolerance (K,)."""
     bodies = MovingBodies.of(scene, motion)
     wanted = pairs
     if wanted is None:
         wanted = broad.find_pairs_of_checked(bodies, cutoff, broad.choose(bodies), tolerance=0.0)
         wanted = wanted[wanted[:, 0] != wanted[:, 1]]
     lower, upper, time, points = ops.distances(bodies.operands, wanted, cutoff, tolerance)
-    radius = bodies.radius[wanted].amin(dim=1)
+    thick = bodies.radius if scene.margin is None else bodies.radius + scene.margin
+    radius = thick[wanted].amin(dim=1)
     allowed = RELATIVE_TOLERANCE * radius if tolerance < 0.0 else torch.full_like(radius, tolerance)
     converged = (upper - lower <= allowed) | (lower > cutoff)
     found = Distances(pairs=wanted, lower=lower, upper=upper, time=time, points=points, converged=converged)
-    return found if pairs is not None else _rows(found, lower <= cutoff)
+    if pairs is not None:
+        return found, allowed
+    near = lower <= cutoff
+    return _rows(found, near), allowed[near]
 
 
 def _rows(found: Distances, rows: Tensor) -> Distances:
@@ -137,7 +143,7 @@ def _along(scene: Scene, trajectory: Trajectory, cutoff: float, pairs: Tensor | 
     """The least distances of all segments, each of which is a step of copies of the bodies."""
     segments = trajectory.segment_count
     copies, steps, of_copies = segments_as_step(scene, trajectory, pairs)
-    found = _of_step(copies, steps, cutoff, of_copies, tolerance)
+    found, allowed = _of_step(copies, steps, cutoff, of_copies, tolerance)
     segment, of_scene = in_scene(found.pairs, scene.body_count)
     if pairs is None:
         pairs, owner = torch.unique(of_scene, dim=0, return_inverse=True)
@@ -148,7 +154,9 @@ def _along(scene: Scene, trajectory: Trajectory, cutoff: float, pairs: Tensor | 
     rows = earliest_of_each(owner, len(pairs), found.upper)
     nearest, segment = _rows(found, rows), segment[rows]
     time = torch.where(torch.isnan(nearest.time), nearest.time, time_along(segment, nearest.time, segments))
-    is_converged = least.scatter_reduce(0, owner, found.converged.to(torch.float64), "amin") > 0.0
+    # Segments in which the bodies are further apart need not have ended.
+    are_converged = least.scatter_reduce(0, owner, found.converged.to(torch.float64), "amin") > 0.0
+    is_converged = are_converged | (nearest.upper - lower <= least.scatter_reduce(0, owner, allowed, "amin"))
     return Distances(
         pairs=pairs, lower=lower, upper=nearest.upper, time=time, points=nearest.points, converged=is_converged
     )

@@ -173,6 +173,37 @@ def test_a_search_that_does_not_end_says_so() -> None:
     assert found.lower.item() <= bodies.truth((0, 1), samples=301)
 
 
+@pytest.mark.parametrize("path", ["rigid", "linear"])
+def test_the_reach_of_a_fast_body_bounds_its_distance(path: str) -> None:
+    """A corner of an octahedron passes one of another at the distance of their spheres, some 50,000 times."""
+    corners = [[1.0, 0, 0], [-1.0, 0, 0], [0, 1.0, 0], [0, -1.0, 0], [0, 0, 1.0], [0, 0, -1.0]]
+    octahedron = pgccd.Mesh(corners, [[x, y, z] for x in (0, 1) for y in (2, 3) for z in (4, 5)])
+    place, turn = np.array([[0.0, 0, 0], [3.0, 0, 0]]), np.array([[0.0, 0, 3e5], [0.0, 0, 0]])
+    found = Moving([octahedron] * 2, place, np.tile(UPRIGHT, (2, 1)), place, turn, path).distance()
+    assert found.converged.item() and 1.0 - 1e-8 < found.lower.item() <= 1.0 <= found.upper.item() + 1e-9
+
+
+def test_a_search_that_is_cut_off_has_a_coarse_lower_bound() -> None:
+    """A sphere turns within another one: very many triangles are equally near at all times."""
+    rest = np.zeros((2, 3))
+    spheres = [pgccd.Mesh.sphere(radius, 4) for radius in (1.0, 1.05)]
+    bodies = Moving(spheres, rest, np.tile(UPRIGHT, (2, 1)), rest, np.array([[0.0, 0, 1.0], [0.0, 0, 0]]))
+    found = bodies.distance(tolerance=0.0)
+    assert not found.converged.item() and 0.005 < found.lower.item() <= 0.05 <= found.upper.item() + 1e-2
+
+
+def test_many_triangles_that_are_equally_near() -> None:
+    """Two cones turn about their apexes: each triangle of one is as near to each of the other."""
+    around = np.linspace(0.0, 2 * np.pi, 256, endpoint=False)
+    rim = np.stack([np.cos(around), np.sin(around), np.ones(256)], axis=1)
+    corners = np.concatenate([np.zeros((1, 3)), rim])
+    faces = [[0, 1 + k, 1 + (k + 1) % 256] for k in range(256)]
+    cones = [pgccd.Mesh(z * corners, faces, origin=[0.0, 0.0, z]) for z in (-1.0, 1.0)]
+    place, turn = np.array([[0.0, 0, 0], [0.0, 0, 2.001]]), np.array([[1.0, 0, 0], [0.0, 0.7, 0]])
+    found = Moving(cones, place, np.tile(UPRIGHT, (2, 1)), place, turn).distance()
+    assert found.converged.item() and found.lower.item() <= 0.001 + 1e-15 <= found.upper.item() + 1e-12
+
+
 def test_surfaces_that_intersect_or_touch() -> None:
     box = pgccd.Mesh.box([1.0, 1.0, 1.0])
     rng = np.random.default_rng(0)
@@ -212,6 +243,30 @@ def test_margins_are_subtracted() -> None:
     bodies.margin = np.array([2.0, 2.0])
     touching = bodies.distance()
     assert touching.lower.item() == touching.upper.item() == 0.0 and not torch.isnan(touching.points).any()
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.5])
+def test_small_bodies_with_large_margins(turn: float) -> None:
+    """As spheres and capsules are: the default tolerance is that of the thickened bodies."""
+    speck = pgccd.Mesh([[1e-10, 0, 0], [-1e-10, 1e-10, 0], [-1e-10, -1e-10, 0]], [[0, 1, 2]])
+    place = np.array([[0.0, 0, 0], [3.0, 0, 0]])
+    turns = np.array([[0.0, 0, turn], [0.0, turn, 0]])
+    found = Moving([speck, speck], place, np.tile(UPRIGHT, (2, 1)), place, turns, margin=np.full(2, 0.5)).distance()
+    assert found.converged.item() and found.lower.item() <= 2.0 <= found.upper.item() + 1e-9
+    assert found.upper.item() - found.lower.item() <= 1e-6
+
+
+@pytest.mark.parametrize("part", [0.5, 0.9, 0.99, 0.999, 1.0, 1.01])
+def test_the_upper_bound_is_infinite_exactly_where_the_lower_one_is_above_the_cutoff(part: float) -> None:
+    """Also where the search has found points that are further apart than the cutoff."""
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        bodies = apart(rng, [bumpy(rng, 1), tetrahedron()], 0.5, turn=1.0, travel=0.3)
+        cutoff = part * bodies.distance().upper.item()
+        found = bodies.distance(cutoff=cutoff)
+        is_beyond = found.lower.item() > cutoff
+        assert is_beyond == (part < 1.0) and found.converged.item()
+        assert found.upper.isinf().item() == found.time.isnan().item() == found.points.isnan().all().item() == is_beyond
 
 
 def test_pairs_beyond_the_cutoff() -> None:
@@ -270,6 +325,20 @@ def test_a_trajectory_has_the_least_of_its_segments() -> None:
         assert torch.equal(found.points[row], parts[segment].points[row])
     near = pgccd.distance(scene, path, cutoff=float(found.upper.max()) + 0.1)
     assert torch.equal(near.upper, found.upper[[1, 2, 0]])
+
+
+def test_a_trajectory_converges_though_a_segment_further_apart_does_not() -> None:
+    rng = np.random.default_rng(1)
+    place = torch.zeros(3, 2, 3, dtype=torch.float64)
+    place[:, 1, 0] = torch.tensor([1.5, 40.0, 40.0])
+    turn = torch.zeros(2, 2, 3, dtype=torch.float64)
+    turn[1] = torch.tensor(3e5 * directions(rng, 2))
+    upright = torch.tensor(UPRIGHT, dtype=torch.float64).expand(2, 4).contiguous()
+    path = pgccd.Trajectory(place, upright, rotation=turn)
+    scene = pgccd.Scene([tetrahedron()], [0, 0])
+    second = pgccd.distance(scene, path.segment(1), pairs=PAIR)
+    found = pgccd.distance(scene, path, pairs=PAIR)
+    assert not second.converged.item() and second.lower.item() > found.upper.item() and found.converged.item()
 
 
 def scene_of_many(rng: np.random.Generator, device: torch.device | str) -> tuple[pgccd.Scene, pgccd.RigidMotion]:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from mutants_of.mutant import DISTANCE, ON_DISTANCE, Mutant
 
-NODES, SEARCH, PAIR = DISTANCE + "node_gap_item.h", DISTANCE + "distance_item.h", DISTANCE + "moving_pair.h"
+NODES, TRIANGLES = DISTANCE + "node_gap_item.h", DISTANCE + "triangle_gap_item.h"
+SEARCH, PAIR = DISTANCE + "distance_item.h", DISTANCE + "moving_pair.h"
 ROUNDING = "real errors are a few roundings, which either part of the bound covers alone; see distance-lower-rounding"
 OF_NODES = "spheres, slabs and samples of nodes are rounded outward by 10^-8 of their radius, 10^5 times this"
 BEND = "half_square * larger(curvature + rounding, 0.0) * kRoundedUp"
@@ -53,6 +54,7 @@ MUTANTS = [
         equivalent="attained only by points as far from the axis as any, opposite one another, in spheres that touch"
         " there; those of triangles are larger by more than a thousandth of it",
     ),
+    Mutant("distance-reach-0.999", NODES, "(pair.reach() + ", "(0.999 * pair.reach() + ", ON_DISTANCE),
     Mutant("distance-slab-across", NODES, "norm(across) * node.radius", "0.0 * norm(across)", ON_DISTANCE),
     Mutant(
         "distance-samples-rounding",
@@ -78,13 +80,11 @@ MUTANTS = [
         ON_DISTANCE,
         equivalent=OF_NODES,
     ),
-    Mutant("distance-middle-bend", SEARCH, "0.5 * bend", "0.0 * bend", ON_DISTANCE, within="- 0.5 * bend, last"),
-    Mutant(
-        "distance-middle-bend-0.999", SEARCH, "0.5 * bend", "0.4995 * bend", ON_DISTANCE, within="- 0.5 * bend, last"
-    ),
+    Mutant("distance-middle-bend", TRIANGLES, "0.5 * bend", "0.0 * bend", ON_DISTANCE),
+    Mutant("distance-middle-bend-0.999", TRIANGLES, "0.5 * bend", "0.4995 * bend", ON_DISTANCE),
     Mutant(
         "distance-shorter-direction",
-        SEARCH,
+        TRIANGLES,
         "middle + 0.5 * (shorter * gap)",
         "middle + 1.0 * (shorter * gap)",
         ON_DISTANCE,
@@ -98,20 +98,13 @@ MUTANTS = [
         within="return gap - pair_.rounding();",
     ),
     Mutant(
-        "distance-lower-rounding-at-rest",
-        SEARCH,
-        "first - pair_.rounding()",
-        "first",
-        ON_DISTANCE,
-        within="return first - pair_.rounding();",
-    ),
-    Mutant(
         "distance-upper-rounding",
         SEARCH,
         "norm(on_b - on_a) * (1.0 + 0x1p-48) + pair_.rounding()",
         "norm(on_b - on_a)",
         ON_DISTANCE,
     ),
+    Mutant("distance-tolerance-of-margins", PAIR, " + centres.margin[k]", " + 0.0", ON_DISTANCE),
     Mutant("distance-of-points", PAIR, "2.0 * point_error", "0.0 * point_error", ON_DISTANCE, equivalent=ROUNDING),
     Mutant(
         "distance-extent",

@@ -18,11 +18,15 @@ struct DistanceTask {
   double bound;
 };
 
-// Tasks that a search keeps. A search that needs more, which no tree of usual depth does, and one of more steps ends
+// Tasks that a search keeps. A search that needs more, which no tree of usual depth does, and one of more work ends
 // with the bounds that it has. Parts of the step have at least 2^-kFinestLevel of its length.
 constexpr int kDistanceTasks = 256;
-constexpr int kMostDistanceSteps = 1 << 16;
 constexpr int32_t kFinestLevel = 26;
+// Work is counted in looks at two triangles, some microseconds each on a CPU. The nodes of a task take about as much as
+// two of these at each end of the part of the step.
+constexpr int kWorkOfTask = 2;
+constexpr int kMostDistanceWork = 3 << 16;
+constexpr int kMostCoarseWork = 1 << 16;
 
 // Triangles of a leaf at both ends of a part of the step.
 struct LeafOver {
@@ -66,23 +70,41 @@ class DistanceSearch {
   }
 
   PGCCD_HD DistanceFound run() {
-    add({{0, 0}, {0, 0}, goal_.least});
-    int steps = 0;
-    while (count_ > 0 && found_.upper > goal_.touching) {
-      const DistanceTask task = memory_.tasks[--count_];
-      if (is_decided(task.bound) || steps == kMostDistanceSteps) {
-        dismiss(task.bound);
-        continue;
+    work_ = kMostDistanceWork;
+    double lower = search(goal_.tolerance);
+    // A search that is cut off may leave much of the step with the bounds of whole bodies: coarse ones, of ever smaller
+    // parts of the upper bound, do not.
+    if (!(work_ > 0)) {
+      work_ = kMostCoarseWork;
+      for (double part = 0.875; work_ > 0 && part > 0.01 && found_.upper < INFINITY; part *= 0.5) {
+        lower = larger(search(part * (found_.upper - goal_.least)), lower);
       }
-      ++steps;
-      visit(task);
     }
-    if (!(found_.upper > goal_.touching)) dismiss(0.0);
-    found_.lower = smaller(found_.lower, found_.upper);
+    found_.lower = smaller(lower, found_.upper);
     return found_;
   }
 
  private:
+  // The lower bound that a search to this tolerance gives.
+  PGCCD_HD double search(double tolerance) {
+    tolerance_ = larger(tolerance, goal_.tolerance);
+    found_.lower = INFINITY;
+    count_ = 0;
+    move_to({0, 0});
+    add({{0, 0}, {0, 0}, larger(over_.apart, goal_.least)});
+    while (count_ > 0 && found_.upper > goal_.touching) {
+      const DistanceTask task = memory_.tasks[--count_];
+      if (is_decided(task.bound) || !(work_ > 0)) {
+        dismiss(task.bound);
+        continue;
+      }
+      work_ -= kWorkOfTask * over_.ends;
+      visit(task);
+    }
+    if (!(found_.upper > goal_.touching)) dismiss(0.0);
+    return found_.lower;
+  }
+
   PGCCD_HD const MeshOffsets& offsets_of(int side) const {
     return pair_.bodies().meshes.offsets[pair_.bodies().mesh_index[pair_.body(side)]];
   }
@@ -94,7 +116,7 @@ class DistanceSearch {
   }
 
   // Distances of at least so much matter to neither bound.
-  PGCCD_HD double enough() const { return smaller(found_.upper - goal_.tolerance, goal_.cutoff); }
+  PGCCD_HD double enough() const { return smaller(found_.upper - tolerance_, goal_.cutoff); }
   PGCCD_HD bool is_decided(double bound) const { return bound >= enough(); }
   PGCCD_HD void dismiss(double bound) { found_.lower = smaller(found_.lower, bound); }
   PGCCD_HD void add(const DistanceTask& task) {
@@ -185,7 +207,7 @@ class DistanceSearch {
     const double bend = larger(bend_along(leaves, directions[0]), bend_along(leaves, directions[1]));
     for (int k = 0; k < leaves[0].count; ++k) {
       for (int l = 0; l < leaves[1].count; ++l) {
-        bounds[k][l] = larger(turning_gap(most[k], least[l], directions, bend), bounds[k][l]);
+        bounds[k][l] = larger(gap_of(most[k], least[l], directions, bend), bounds[k][l]);
       }
     }
   }
@@ -203,8 +225,9 @@ class DistanceSearch {
     const Vec3<double> between = unit_vector(nodes[1].centre[0] - nodes[0].centre[0]);
     raise(leaves, {between, between}, bounds);
     raise(leaves, {hint_, hint_}, bounds);
+    const bool divides = !pair_.is_still() && task.part.level < kFinestLevel;
     double open = INFINITY;  // least bound of pairs that need shorter parts of the step
-    double open_at = 0.5;
+    double at = 0.5;
     while (found_.upper > goal_.touching) {
       int first = -1, second = -1;
       double least = INFINITY;
@@ -216,26 +239,24 @@ class DistanceSearch {
           second = l;
         }
       }
-      if (first < 0 || is_decided(least)) {
-        dismiss(least);
+      // Both halves look at all pairs again, so one that is open suffices.
+      const bool ends = divides && open < INFINITY;
+      if (first < 0 || ends || is_decided(least)) {
+        if (ends) open = smaller(least, open);
+        if (!ends) dismiss(least);
         break;
       }
       left[first] &= ~(1u << second);
       const PairOfTriangles pair{{&leaves[0], &leaves[1]}, {first, second}};
-      double at = 0.5;
       Vec3<double> directions[2];
       const double bound = larger(look_at(pair, at, directions), least);
-      if (is_decided(bound)) {
-        dismiss(bound);
-      } else if (bound < open) {
-        open = bound;
-        open_at = at;
-      }
+      double& least_of_all = is_decided(bound) ? found_.lower : open;
+      least_of_all = smaller(bound, least_of_all);
       raise(leaves, directions, bounds);
     }
     if (!(open < INFINITY)) return;
-    if (pair_.is_still() || task.part.level == kFinestLevel) return dismiss(open);
-    const int nearer = open_at < 0.5 ? 0 : 1;
+    if (!divides) return dismiss(open);
+    const int nearer = at < 0.5 ? 0 : 1;
     for (const int k : {1 - nearer, nearer}) {
       DistanceTask half = task;
       half.part = {task.part.level + 1, 2 * task.part.index + k};
@@ -244,36 +265,15 @@ class DistanceSearch {
     }
   }
 
-  // Projections of points on a direction that turns, as control points of quadratics: at the first end, in the middle
-  // and at the last end. Those at a single time are the first.
-  struct TurningRange {
-    double at[3];
-  };
   PGCCD_HD TurningRange most_of(const LeafOver& leaf, int place, const Vec3<double> (&d)[2]) const {
-    const Corners3 &start = leaf.at[0][place], &end = leaf.at[over_.ends - 1][place];
-    double middle = -INFINITY;
-    for (int c = 0; c < 3; ++c) middle = larger(dot(d[0], end.x[c]) + dot(d[1], start.x[c]), middle);
-    return {{most_along(start, d[0]), 0.5 * middle, most_along(end, d[1])}};
+    return most_along(leaf.at[0][place], leaf.at[over_.ends - 1][place], d);
   }
   PGCCD_HD TurningRange least_of(const LeafOver& leaf, int place, const Vec3<double> (&d)[2]) const {
-    const TurningRange most = most_of(leaf, place, {-d[0], -d[1]});
-    return {{-most.at[0], -most.at[1], -most.at[2]}};
+    return least_along(leaf.at[0][place], leaf.at[over_.ends - 1][place], d);
   }
-
-  // A lower bound of the distance, given the largest projections of the first and the least of the second on n(s) = (1
-  // - s) d0 + s d1: the offset x(s) of two points has n(s) . x(s) above the quadratic, less bend s (1 - s), and |n(s)|
-  // = sqrt(1 - 2 s (1 - s) m) with m = 1 - d0 . d1. So where the quadratic is at least q > 0, the distance is at least
-  // that of the quadratic plus m s (1 - s) q.
-  PGCCD_HD double turning_gap(const TurningRange& most, const TurningRange& least, const Vec3<double> (&d)[2],
-                              double bend) const {
-    const double first = least.at[0] - most.at[0];
-    if (over_.ends == 1) return first - pair_.rounding();
-    const double middle = (least.at[1] - most.at[1]) - 0.5 * bend, last = least.at[2] - most.at[2];
-    double gap = least_of_quadratic(first, middle, last);
-    if (gap > 0.0) {
-      const double shorter = larger(1.0 - dot(d[0], d[1]), 0.0);
-      gap = least_of_quadratic(first, middle + 0.5 * (shorter * gap), last);
-    }
+  PGCCD_HD double gap_of(const TurningRange& most, const TurningRange& least, const Vec3<double> (&d)[2],
+                         double bend) const {
+    const double gap = over_.ends == 1 ? least.at[0] - most.at[0] : turning_gap(most, least, d, bend);
     return gap - pair_.rounding();
   }
 
@@ -298,14 +298,16 @@ class DistanceSearch {
         return most_along(pair.at(end, side), across) - dot(across, Pair::reference_point(over_.pose[end], side));
       });
     };
-    return turning_gap(most_of(*pair.leaf[0], pair.place[0], d), least_of(*pair.leaf[1], pair.place[1], d), d,
-                       larger(bend(d[0]), bend(d[1])));
+    return gap_of(most_of(*pair.leaf[0], pair.place[0], d), least_of(*pair.leaf[1], pair.place[1], d), d,
+                  larger(bend(d[0]), bend(d[1])));
   }
 
   // A lower bound of the distance of two triangles, by the directions of their nearest points at both ends and at one
   // time between them; and perhaps a lower upper bound. `at`: the fraction of the part of the step at which they are
   // nearest, as far as is known; `directions`: those that give the best bound.
   PGCCD_HD double look_at(const PairOfTriangles& pair, double& at, Vec3<double> (&directions)[2]) {
+    --work_;
+    at = 0.5;
     NearestOfTriangles nearest;
     for (int end = 0; end < over_.ends; ++end) {
       const NearestOfTriangles now = nearest_of_triangles(pair.at(end, 0), pair.at(end, 1));
@@ -365,7 +367,8 @@ class DistanceSearch {
   const Triangle* triangles_[2];
   PairOver<Pair> over_;
   TimePart part_{0, 0};
-  int count_ = 0;
+  int count_ = 0, work_ = 0;
+  double tolerance_ = 0.0;            // of the search in progress
   Vec3<double> hint_{0.0, 0.0, 0.0};  // direction of the nearest points known
   DistanceFound found_{INFINITY, INFINITY, NAN, {{NAN, NAN, NAN}, {NAN, NAN, NAN}}};
 };
@@ -381,11 +384,12 @@ PGCCD_HD void find_distance(const Bodies& bodies, const DistanceInput& input, in
   const double at_most = pair_separation(bodies.centres, i, j, 0.0);
   const double beyond = std::nextafter(input.cutoff, static_cast<double>(INFINITY));
   const DistanceGoal goal{at_least, at_most, add_up(beyond, at_most),
-                          pair_tolerance(bodies.centres, i, j, input.tolerance)};
+                          distance_tolerance(bodies.centres, i, j, input.tolerance)};
   const DistanceFound found = DistanceSearch<MovingPair<Bodies>>(pair, goal, memory).run();
-  out.lower[row] = larger(add_down(found.lower, -at_most), 0.0);
-  out.upper[row] = larger(add_up(found.upper, -at_least), 0.0);
-  const bool has_points = found.upper < INFINITY;
+  const double lower = larger(add_down(found.lower, -at_most), 0.0);
+  const bool has_points = found.upper < INFINITY && !(lower > input.cutoff);
+  out.lower[row] = lower;
+  out.upper[row] = has_points ? larger(add_up(found.upper, -at_least), 0.0) : INFINITY;
   out.time[row] = has_points ? found.time : NAN;
   for (int side = 0; side < 2; ++side) {
     const Vec3<double> none{NAN, NAN, NAN};

@@ -13,6 +13,15 @@ PGCCD_HD double distance_rounding(double point_error, double extent) {
   return 2.0 * point_error + 32.0 * Precision<double>::unit * extent;
 }
 
+// As `pair_tolerance`, of thickened bodies: a small one with a large margin is not small.
+PGCCD_HD double distance_tolerance(const BodyCentres& centres, int64_t i, int64_t j, double tolerance) {
+  if (!(tolerance < 0.0)) return tolerance;
+  const auto radius = [&](int64_t k) {
+    return centres.margin == nullptr ? centres.radius[k] : centres.radius[k] + centres.margin[k];
+  };
+  return -tolerance * smaller(radius(i), radius(j));
+}
+
 template <class Bodies>
 class MovingPair;
 
@@ -29,10 +38,10 @@ class MovingPair<RigidBodies> {
   PGCCD_HD MovingPair(const RigidBodies& bodies, int64_t i, int64_t j) : bodies_(bodies), pair_(bodies, i, j) {
     double extent = 2.0 * larger(max_abs(pair_.centre.at_t0), max_abs(pair_.centre.at_t1));
     bool turns = false;
-    bend_ = 0.0;
+    bend_ = reach_ = 0.0;
     for (int side = 0; side < 2; ++side) {
       const int64_t body = pair_.body[side];
-      extent += 2.0 * mesh_reach(bodies, body);
+      reach_ += mesh_reach(bodies, body);
       centre_[side] = mesh_centre(bodies, body);
       turns |= pair_.turns(side);
       at_t1_[side] = pair_.orientation[side];
@@ -46,13 +55,15 @@ class MovingPair<RigidBodies> {
     }
     const Vec3<double> travel = pair_.centre.at_t1 - pair_.centre.at_t0;
     is_still_ = !turns && travel.x == 0.0 && travel.y == 0.0 && travel.z == 0.0;
-    rounding_ = distance_rounding(pair_.point_error, extent);
+    rounding_ = distance_rounding(pair_.point_error, extent + 2.0 * reach_);
   }
 
   PGCCD_HD const RigidBodies& bodies() const { return bodies_; }
   PGCCD_HD int64_t body(int side) const { return pair_.body[side]; }
   // Whether neither body moves relative to the other one, except by rounding.
   PGCCD_HD bool is_still() const { return is_still_; }
+  // How far points of both bodies are from the reference points at most.
+  PGCCD_HD double reach() const { return reach_; }
   PGCCD_HD double rounding() const { return rounding_; }
   PGCCD_HD double point_error() const { return pair_.point_error; }
   // Bound of |x''|, in units of the step, for the offset x of any two points.
@@ -116,7 +127,7 @@ class MovingPair<RigidBodies> {
   Vec3<double> centre_[2];  // SBV centres, body frame
   Mat3<double> at_t1_[2];   // of linear paths
   double from_axis_[2] = {0.0, 0.0};
-  double bend_, rounding_;
+  double bend_, reach_, rounding_;
   bool is_still_;
 };
 
@@ -133,7 +144,8 @@ class MovingPair<DeformingBodies> {
   PGCCD_HD MovingPair(const DeformingBodies& bodies, int64_t i, int64_t j)
       : bodies_(bodies), body_{i, j}, centre_(relative_centre(bodies.centres, i, j)) {
     double extent = 2.0 * larger(max_abs(centre_.at_t0), max_abs(centre_.at_t1));
-    for (const int64_t body : body_) extent += 2.0 * bodies.centres.radius[body];
+    reach_ = bodies.centres.radius[i] + bodies.centres.radius[j];
+    extent += 2.0 * reach_;
     // The given vertices are exact; taking the reference point from them and interpolating between both ends are not.
     point_error_ = 8.0 * Precision<double>::unit * extent;
     rounding_ = distance_rounding(point_error_, extent);
@@ -142,6 +154,8 @@ class MovingPair<DeformingBodies> {
   PGCCD_HD const DeformingBodies& bodies() const { return bodies_; }
   PGCCD_HD int64_t body(int side) const { return body_[side]; }
   PGCCD_HD static constexpr bool is_still() { return false; }
+  // How far points of both bodies are from the reference points at most.
+  PGCCD_HD double reach() const { return reach_; }
   PGCCD_HD double rounding() const { return rounding_; }
   PGCCD_HD double point_error() const { return point_error_; }
   PGCCD_HD static constexpr double curvature() { return 0.0; }
@@ -177,7 +191,7 @@ class MovingPair<DeformingBodies> {
   const DeformingBodies& bodies_;
   int64_t body_[2];
   RelativeCentre centre_;
-  double point_error_, rounding_;
+  double reach_, point_error_, rounding_;
 };
 
 }  // namespace pgccd

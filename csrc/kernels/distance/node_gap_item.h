@@ -31,6 +31,14 @@ PGCCD_HD double least_between(double first, double last, double bend) {
   return least_of_quadratic(first, 0.5 * ((first + last) - bend), last);
 }
 
+// The point nearest to zero of the segment between two points.
+PGCCD_HD Vec3<double> nearest_to_zero(Vec3<double> from, Vec3<double> to) {
+  const Vec3<double> travel = to - from;
+  const double squared = norm_squared(travel);
+  const double s = squared > 0.0 ? unit_clamp(-dot(from, travel) / squared) : 0.0;
+  return from + s * travel;
+}
+
 // A pair over a part of the step: at both of its ends, or at one time if the pair stands still.
 template <class Pair>
 struct PairOver {
@@ -38,12 +46,14 @@ struct PairOver {
   int ends;
   double half_square;  // of the part's length
   double length;
+  double apart;  // a lower bound of the distance of any two points, however fast the bodies turn
 
   PGCCD_HD PairOver(const Pair& pair, TimePart part)
       : pose{pair.pose(part.begin()), pair.is_still() ? pair.pose(0.0) : pair.pose(part.at(1.0))},
         ends(pair.is_still() ? 1 : 2),
         half_square(0.5 * part.length() * part.length()),
-        length(part.length()) {}
+        length(part.length()),
+        apart(norm(nearest_to_zero(pose[0].shift, pose[1].shift)) - (pair.reach() + pair.rounding())) {}
 
   // By how much the offset of any two points strays from its chord at most.
   PGCCD_HD double deviation(const Pair& pair) const { return 0.25 * half_square * pair.curvature() * kRoundedUp; }
@@ -150,15 +160,10 @@ template <class Pair>
 PGCCD_HD double distance_bound(const Pair& pair, const PairOver<Pair>& over, const NodeOver (&nodes)[2], double enough,
                                Vec3<double> hint) {
   const Vec3<double> start = nodes[1].centre[0] - nodes[0].centre[0];
-  Vec3<double> nearest = start;
-  if (over.ends == 2) {
-    const Vec3<double> travel = (nodes[1].centre[1] - nodes[0].centre[1]) - start;
-    const double squared = norm_squared(travel);
-    const double s = squared > 0.0 ? unit_clamp(-dot(start, travel) / squared) : 0.0;
-    nearest = start + s * travel;
-  }
+  const Vec3<double> nearest = over.ends == 2 ? nearest_to_zero(start, nodes[1].centre[1] - nodes[0].centre[1]) : start;
   const double length = norm(nearest);
-  double bound = (length - (nodes[0].radius + nodes[1].radius)) - (over.deviation(pair) + pair.rounding());
+  const double of_spheres = (length - (nodes[0].radius + nodes[1].radius)) - (over.deviation(pair) + pair.rounding());
+  double bound = larger(of_spheres, over.apart);
   if (bound >= enough) return bound;
   const auto along = [&](Vec3<double> d) { bound = larger(gap_along(pair, over, nodes, d), bound); };
   if (max_abs(hint) > 0.0) along(hint);

@@ -1,6 +1,7 @@
 // Two triangles at one time and over a part of the step: nearest points, and lower bounds of their distance.
 #pragma once
 
+#include "kernels/distance/node_gap_item.h"
 #include "kernels/narrow/crossing.h"
 #include "kernels/narrow/nearest_points.h"
 
@@ -81,6 +82,35 @@ PGCCD_HD double least_along(const Corners3& t, Vec3<double> d) {
 // The gap of two triangles along a direction.
 PGCCD_HD double gap_along(const Corners3& a, const Corners3& b, Vec3<double> d) {
   return least_along(b, d) - most_along(a, d);
+}
+
+// Projections on a direction n(s) = (1 - s) d0 + s d1 that turns, of points that move, as control points of quadratics:
+// at the first end, in the middle and at the last end.
+struct TurningRange {
+  double at[3];
+};
+PGCCD_HD TurningRange most_along(const Corners3& start, const Corners3& end, const Vec3<double> (&d)[2]) {
+  double middle = -INFINITY;
+  for (int c = 0; c < 3; ++c) middle = larger(dot(d[0], end.x[c]) + dot(d[1], start.x[c]), middle);
+  return {{most_along(start, d[0]), 0.5 * middle, most_along(end, d[1])}};
+}
+PGCCD_HD TurningRange least_along(const Corners3& start, const Corners3& end, const Vec3<double> (&d)[2]) {
+  const TurningRange most = most_along(start, end, {-d[0], -d[1]});
+  return {{-most.at[0], -most.at[1], -most.at[2]}};
+}
+
+// A lower bound of the distance, given the largest projections of the first and the least of the second, without
+// rounding: the offset x(s) of two points has n(s) . x(s) above the quadratic, less bend s (1 - s), and |n(s)| =
+// sqrt(1 - 2 s (1 - s) m) with m = 1 - d0 . d1. So where the quadratic is at least q > 0, the distance is at least that
+// of the quadratic plus m s (1 - s) q.
+PGCCD_HD double turning_gap(const TurningRange& most, const TurningRange& least, const Vec3<double> (&d)[2],
+                            double bend) {
+  const double first = least.at[0] - most.at[0], last = least.at[2] - most.at[2];
+  const double middle = (least.at[1] - most.at[1]) - 0.5 * bend;
+  const double gap = least_of_quadratic(first, middle, last);
+  if (!(gap > 0.0)) return gap;
+  const double shorter = larger(1.0 - dot(d[0], d[1]), 0.0);
+  return least_of_quadratic(first, middle + 0.5 * (shorter * gap), last);
 }
 
 // Whether an edge of one certainly passes through the other, given the error of the points.
