@@ -54,7 +54,7 @@ MUTANTS = [
         equivalent="attained only by points as far from the axis as any, opposite one another, in spheres that touch"
         " there; those of triangles are larger by more than a thousandth of it",
     ),
-    Mutant("distance-reach-0.999", NODES, "(pair.reach() + ", "(0.999 * pair.reach() + ", ON_DISTANCE),
+    Mutant("distance-reach-0.999", NODES, "pair.reach()", "0.999 * pair.reach()", ON_DISTANCE),
     Mutant("distance-slab-across", NODES, "norm(across) * node.radius", "0.0 * norm(across)", ON_DISTANCE),
     Mutant(
         "distance-samples-rounding",
@@ -104,7 +104,9 @@ MUTANTS = [
         "norm(on_b - on_a)",
         ON_DISTANCE,
     ),
-    Mutant("distance-tolerance-of-margins", PAIR, " + centres.margin[k]", " + 0.0", ON_DISTANCE),
+    Mutant(
+        "distance-tolerance-of-margins", PAIR, "centres.radius[k] + centres.margin[k]", "centres.radius[k]", ON_DISTANCE
+    ),
     Mutant("distance-of-points", PAIR, "2.0 * point_error", "0.0 * point_error", ON_DISTANCE, equivalent=ROUNDING),
     Mutant(
         "distance-extent",
