@@ -90,7 +90,7 @@ class Tree:
         count = len(q)
         position, orientation, value = self._components(q.unbind(1), _integrated)
 
-        def stacked(rows: Sequence[Sequence[Component]]) -> Tensor:
+        def stacked(rows: Sequence[Components]) -> Tensor:
             return torch.stack([_joined(row, count, q) for row in rows])
 
         return Poses(stacked(position), stacked(orientation), stacked([(own,) for own in value])[..., 0])
@@ -109,7 +109,7 @@ class Tree:
         return Poses(x.transpose(1, 2).contiguous(), r.transpose(1, 2).contiguous(), v)
 
     def _components(
-        self, q: Sequence[Any], integrated: Callable[[Components, Components, Any], Components]
+        self, q: Sequence[Any] | np.ndarray, integrated: Callable[[Components, Components, Any], Components]
     ) -> tuple[list[Components], list[Components], list[Component]]:
         """By frame the components of its position and orientation, and the value of its joint.
 

@@ -20,8 +20,8 @@ from pgccd.robots.stray import MOST_TURN, turns
 
 # Bodies in one call.
 _BODIES_AT_ONCE = 400_000
-# Scenes of at most so many steps are kept.
-_FEW_COPIES = 16
+# A search of fewer steps takes hardly less time. Scenes of so many are kept.
+_STEPS_AT_LEAST = 24
 # The default resolution, in units of the robot's reach.
 _RESOLUTION = 1e-3
 # Parts of the resolution: the tolerance of contacts; and the margins aimed at when a step is split.
@@ -192,7 +192,7 @@ class PathSearch:
                 first.segment[self._find_starts(scene, q, chosen.environment[at_start], found)] = -1
             steps = rest.followed_by(self._decide(chosen, met, found, first))
             steps = steps[first.is_after(steps.environment, steps.segment, steps.begin)]
-            width = max(4, 2 * width)
+            width = max(4, _STEPS_AT_LEAST // len(q), 2 * width)
         rows = torch.nonzero(found.verdict == int(Verdict.NEAR)).flatten()
         found.time[rows] = time_along(found.segment[rows], found.toi[rows], q.shape[1] - 1)
         self._find_witnesses(scene, q, rows, found)
@@ -344,7 +344,7 @@ class PathSearch:
 
     def _copied(self, scene: Scene, count: int) -> Scene:
         """`repeated`; of few copies made once."""
-        if count > _FEW_COPIES:
+        if count > _STEPS_AT_LEAST:
             return repeated(scene, count)
         if (scene.device, count) not in self._copies:
             self._copies[scene.device, count] = repeated(scene, count)
