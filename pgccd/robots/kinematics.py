@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 import torch
@@ -16,6 +16,11 @@ from pgccd.motion.differentiable import any_differentiated, with_gradient_of
 from pgccd.motion.rotation import rotated
 
 JointKind = Literal["fixed", "revolute", "prismatic"]
+# Of K configurations, (K,), or of all of them a number. One arithmetic for all of these has one result.
+Component: TypeAlias = Tensor | np.ndarray | float
+Components: TypeAlias = tuple[Any, ...]
+# So many configurations are faster in NumPy.
+_FEW = 64
 
 
 @dataclass(frozen=True)
@@ -80,29 +85,67 @@ class Tree:
         Args:
             q: (K, J) float64 configurations; with gradients, if they require grad.
         """
+        if q.device.type == "cpu" and len(q) <= _FEW and not any_differentiated(q):
+            return self._forward_of_few(q)
         count = len(q)
-        position: list[Tensor] = []
-        orientation: list[Tensor] = []
-        value: list[Tensor] = []
-        zero = q.new_zeros(count)
-        for joint in self.joints:
-            at, turn = _constant(joint.position, q).expand(count, 3), _constant(joint.orientation, q).expand(count, 4)
+        position, orientation, value = self._components(q.unbind(1), _integrated)
+
+        def stacked(rows: Sequence[Components]) -> Tensor:
+            return torch.stack([_joined(row, count, q) for row in rows])
+
+        return Poses(stacked(position), stacked(orientation), stacked([(own,) for own in value])[..., 0])
+
+    def _forward_of_few(self, q: Tensor) -> Poses:
+        """As `forward`, in NumPy, whose calls are shorter: with few configurations they are all the time."""
+        count, frames = len(q), len(self.joints)
+        position, orientation = np.empty((frames, 3, count)), np.empty((frames, 4, count))
+        value = np.empty((frames, count))
+        # Components may be numbers, which fill their rows.
+        for frame, (at, turn, own) in enumerate(zip(*self._components(q.numpy().T, _integrated_few), strict=True)):
+            for row, component in zip((*position[frame], *orientation[frame]), (*at, *turn), strict=True):
+                row[...] = component
+            value[frame] = own
+        x, r, v = (torch.from_numpy(column) for column in (position, orientation, value))
+        return Poses(x.transpose(1, 2).contiguous(), r.transpose(1, 2).contiguous(), v)
+
+    def _components(
+        self, q: Sequence[Any] | np.ndarray, integrated: Callable[[Components, Components, Any], Components]
+    ) -> tuple[list[Components], list[Components], list[Component]]:
+        """By frame the components of its position and orientation, and the value of its joint.
+
+        Args:
+            q: (K,) of each joint.
+            integrated: orientation after a rotation vector; also given an entry of q.
+        """
+        position: list[Components] = []
+        orientation: list[Components] = []
+        value: list[Component] = []
+        for joint, (at, turn, axis) in zip(self.joints, self._constants, strict=True):
             if joint.parent >= 0:
                 of_parent = orientation[joint.parent]
-                at = position[joint.parent] + rotate(of_parent, at)
-                turn = multiply(of_parent, turn)
-            own = zero
+                offset = _rotate(of_parent, at)
+                at = tuple(x + dx for x, dx in zip(position[joint.parent], offset, strict=True))
+                turn = _multiply(of_parent, turn)
+            own: Component = 0.0
             if joint.kind != "fixed":
-                own = q[:, joint.coordinate] * joint.scale + joint.offset
-                axis = own[:, None] * rotate(turn, _constant(joint.axis, q).expand(count, 3))
+                own = q[joint.coordinate] * joint.scale + joint.offset
+                along = tuple(own * component for component in _rotate(turn, axis))
                 if joint.kind == "revolute":
-                    turn = _integrated(turn, axis)
+                    turn = integrated(turn, along, own)
                 else:
-                    at = at + axis
+                    at = tuple(x + dx for x, dx in zip(at, along, strict=True))
             position.append(at)
             orientation.append(turn)
             value.append(own)
-        return Poses(torch.stack(position), torch.stack(orientation), torch.stack(value))
+        return position, orientation, value
+
+    @cached_property
+    def _constants(self) -> list[tuple[Components, Components, Components]]:
+        """Position, orientation and axis of each joint."""
+        return [
+            tuple(tuple(map(float, of)) for of in (joint.position, joint.orientation, joint.axis))  # type: ignore[misc]
+            for joint in self.joints
+        ]
 
     @cached_property
     def distances(self) -> list[float]:
@@ -143,40 +186,56 @@ class Tree:
         return float(np.arctan2(np.linalg.norm(np.cross(own, axis)), abs(own @ axis)))
 
 
-def _integrated(orientation: Tensor, rotation: Tensor) -> Tensor:
+def _joined(components: Components, count: int, like: Tensor) -> Tensor:
+    """(K, n), of tensors (K,) or numbers."""
+    columns = [c if isinstance(c, Tensor) else like.new_full((count,), c) for c in components]
+    return torch.stack(columns, dim=1)
+
+
+def _integrated(turn: Components, rotation: Components, like: Tensor) -> Components:
     """As `integrate_orientation`, with gradients."""
-    if not any_differentiated(orientation, rotation):
-        return rotated(orientation, rotation)
-    value = rotated(orientation.detach(), rotation.detach())
+    orientation, vector = _joined(turn, len(like), like), _joined(rotation, len(like), like)
+    if not any_differentiated(orientation, vector):
+        return rotated(orientation, vector).unbind(1)
+    value = rotated(orientation.detach(), vector.detach())
     unit = orientation / orientation.norm(dim=-1, keepdim=True)
-    return with_gradient_of(value, differentiable.product(differentiable.quaternion_of(rotation), unit), "orientation")
+    expression = differentiable.product(differentiable.quaternion_of(vector), unit)
+    return with_gradient_of(value, expression, "orientation").unbind(1)
 
 
-def rotate(q: Tensor, v: Tensor) -> Tensor:
-    """Vectors (K, 3) rotated by unit quaternions (K, 4)."""
-    w, x, y, z = q.unbind(1)
-    a, b, c = v.unbind(1)
+def _integrated_few(turn: Components, rotation: Components, like: np.ndarray) -> Components:
+    """As `_integrated`, of arrays (K,) and without gradients."""
+    columns = np.empty((7, len(like)))
+    for row, component in zip(columns, (*turn, *rotation), strict=True):
+        row[...] = component
+    both = torch.from_numpy(columns)
+    return tuple(rotated(both[:4].T, both[4:].T).numpy().T)
+
+
+def _rotate(q: Components, v: Components) -> Components:
+    """A vector rotated by a unit quaternion."""
+    w, x, y, z = q
+    a, b, c = v
     # Twice the cross product of the vector part and v.
     d, e, f = (2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a))
-    return torch.stack(
-        [a + w * d + (y * f - z * e), b + w * e + (z * d - x * f), c + w * f + (x * e - y * d)],
-        dim=1,
+    return a + w * d + (y * f - z * e), b + w * e + (z * d - x * f), c + w * f + (x * e - y * d)
+
+
+def _multiply(p: Components, q: Components) -> Components:
+    """The product of two quaternions: first q, then p."""
+    a, b, c, d = p
+    w, x, y, z = q
+    return (
+        a * w - b * x - c * y - d * z,
+        a * x + b * w + c * z - d * y,
+        a * y - b * z + c * w + d * x,
+        a * z + b * y - c * x + d * w,
     )
 
 
 def multiply(p: Tensor, q: Tensor) -> Tensor:
     """Products of quaternions (K, 4): first q, then p."""
-    a, b, c, d = p.unbind(1)
-    w, x, y, z = q.unbind(1)
-    return torch.stack(
-        [
-            a * w - b * x - c * y - d * z,
-            a * x + b * w + c * z - d * y,
-            a * y - b * z + c * w + d * x,
-            a * z + b * y - c * x + d * w,
-        ],
-        dim=1,
-    )
+    return torch.stack(_multiply(p.unbind(1), q.unbind(1)), dim=1)
 
 
 def quaternion_of(matrix: np.ndarray) -> np.ndarray:
@@ -209,7 +268,3 @@ def _rotation_matrix(q: np.ndarray) -> np.ndarray:
 def turned(q: np.ndarray, v: np.ndarray) -> np.ndarray:
     """Points (n, 3) or (3,) rotated by a unit quaternion (4,)."""
     return v @ _rotation_matrix(q).T
-
-
-def _constant(values: np.ndarray, like: Tensor) -> Tensor:
-    return torch.as_tensor(np.asarray(values, dtype=np.float64), device=like.device)[None]

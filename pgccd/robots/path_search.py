@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 
 import torch
@@ -19,6 +20,8 @@ from pgccd.robots.stray import MOST_TURN, turns
 
 # Bodies in one call.
 _BODIES_AT_ONCE = 400_000
+# A search of fewer steps takes hardly less time. Scenes of so many are kept.
+_STEPS_AT_LEAST = 24
 # The default resolution, in units of the robot's reach.
 _RESOLUTION = 1e-3
 # Parts of the resolution: the tolerance of contacts; and the margins aimed at when a step is split.
@@ -155,6 +158,8 @@ class PathSearch:
         if not self.resolution > 0.0:
             raise ValueError(f"resolution: expected a length > 0, got {resolution}")
         self._steps = self._searches = 0
+        # By device and number of steps: scenes of so many, made once, since planners ask for one motion at a time.
+        self._copies: dict[tuple[torch.device, int], Scene] = {}
 
     def certify(self, q: Tensor) -> Certificate:
         """As `pgccd.robots.certify`."""
@@ -187,7 +192,7 @@ class PathSearch:
                 first.segment[self._find_starts(scene, q, chosen.environment[at_start], found)] = -1
             steps = rest.followed_by(self._decide(chosen, met, found, first))
             steps = steps[first.is_after(steps.environment, steps.segment, steps.begin)]
-            width = max(4, 2 * width)
+            width = max(4, _STEPS_AT_LEAST // len(q), 2 * width)
         rows = torch.nonzero(found.verdict == int(Verdict.NEAR)).flatten()
         found.time[rows] = time_along(found.segment[rows], found.toi[rows], q.shape[1] - 1)
         self._find_witnesses(scene, q, rows, found)
@@ -220,7 +225,7 @@ class PathSearch:
 
     def _turns(self, step: Tensor) -> Tensor:
         """(...,): by how much links turn at most in steps (..., J), see `turns`."""
-        found = turns(self.robot._tree, self.robot._frames, step.reshape(-1, step.shape[-1]))
+        found = turns(self.robot._chains_on(step.device), step.reshape(-1, step.shape[-1]))
         return found.view(step.shape[:-1])
 
     def _decide(self, steps: _Steps, met: _Met, found: Certificate, first: _First) -> _Steps:
@@ -313,7 +318,7 @@ class PathSearch:
                 x, r = self.obstacles._added_to(x, r, environment)
             poses += [x.reshape(-1, 3), r.reshape(-1, 4)]
         motion = RigidMotion.at_rest(*poses[:2]) if rests else RigidMotion(poses[0], poses[1], poses[2], poses[3])
-        many = repeated(scene, count)
+        many = copy.copy(self._copied(scene, count))
         assert many.margin is not None
         above = torch.nextafter(many.margin + stray, torch.full_like(stray, torch.inf))
         many.margin = torch.where(stray == 0.0, many.margin, above)
@@ -336,6 +341,14 @@ class PathSearch:
         point = torch.full((count, 3), torch.nan, dtype=torch.float64, device=q.device)
         point[met] = hits.point[chosen]
         return _Met(toi, pair, margin, point)
+
+    def _copied(self, scene: Scene, count: int) -> Scene:
+        """`repeated`; of few copies made once."""
+        if count > _STEPS_AT_LEAST:
+            return repeated(scene, count)
+        if (scene.device, count) not in self._copies:
+            self._copies[scene.device, count] = repeated(scene, count)
+        return self._copies[scene.device, count]
 
     def _links(self, bodies: Tensor) -> Tensor:
         """(K, 2): the link of each body, or -1 - k for obstacle k."""

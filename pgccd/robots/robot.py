@@ -22,7 +22,7 @@ from pgccd.motion.trajectory import Trajectory
 from pgccd.robots.kinematics import Poses, Tree
 from pgccd.robots.obstacles import Obstacles
 from pgccd.robots.shapes import ThickSurface, joined
-from pgccd.robots.stray import MOST_TURN, pose_error, stray_bound, turns
+from pgccd.robots.stray import MOST_TURN, Chains, pose_error, stray_bound, turns
 
 if TYPE_CHECKING:
     from pgccd.robots.certificate import Certificate
@@ -101,6 +101,7 @@ class Robot:
         self.margin = torch.tensor(margins, dtype=torch.float64)
         self._frames = frames
         self._extents = [mesh.reach for mesh in meshes]
+        self._chains: dict[torch.device, Chains] = {}
         chains = [tree.chains[frame] for frame in frames]
         self.moves = torch.tensor([any(tree.joints[k].kind != "fixed" for k in chain) for chain in chains])
         self.exclude = torch.zeros((0, 2), dtype=torch.int64)
@@ -315,7 +316,7 @@ class Robot:
             waypoint = int((~(largest <= LARGEST_VALUE)).long().argmax())
             expected = f"joint values of at most {LARGEST_VALUE:g}"
             raise ValueError(f"q: waypoint {waypoint}: expected {expected}, got {q[waypoint].tolist()}")
-        turn = turns(self._tree, self._frames, q[1:] - q[:-1])
+        turn = turns(self._chains_on(q.device), q[1:] - q[:-1])
         if not bool((turn <= MOST_TURN).all()):
             segment = int((~(turn <= MOST_TURN)).long().argmax())
             raise ValueError(
@@ -340,10 +341,14 @@ class Robot:
         """(K, N): how far the bodies stray from the arcs that are tested, rounding included; without an end they are at
         rest. q: (K, J) magnitudes.
         """
-        error = pose_error(self._tree, self._frames, self._extents, q)
-        if end is None:
-            return error
-        return stray_bound(self._tree, self._frames, self._extents, start, end) + error
+        chains = self._chains_on(q.device)
+        error = pose_error(chains, q)
+        return error if end is None else stray_bound(chains, start, end) + error
+
+    def _chains_on(self, device: torch.device) -> Chains:
+        if device not in self._chains:
+            self._chains[device] = Chains(self._tree, self._frames, self._extents, device)
+        return self._chains[device]
 
     def certify(self, q: Tensor, obstacles: Obstacles | None = None, *, resolution: float | None = None) -> Certificate:
         """Whether paths are free of contact, between waypoints too.

@@ -14,8 +14,8 @@ MUTANTS = [
     Mutant(
         "arm-origin-0.999",
         STRAY,
-        "_scalar(8.0, steps[0])",
-        "_scalar(8.008, steps[0])",
+        "0.125 * _acc",
+        "0.124875 * _acc",
         (*ON_STRAY, "robots/test_certify.py"),
         switched=False,
     ),
@@ -23,19 +23,19 @@ MUTANTS = [
     Mutant(
         "arm-joints-apart",
         STRAY,
-        "(steps[k] + 2.0 * before)",
-        "(steps[k] + 0.0 * before)",
+        "(revolute + 2.0 * before)",
+        "(revolute + 0.0 * before)",
         ON_STRAY,
         switched=False,
     ),
     Mutant(
-        "arm-slide-0.999", STRAY, "2.0 * (steps[k] * before)", "1.998 * (steps[k] * before)", ON_STRAY, switched=False
+        "arm-slide-0.999", STRAY, "2.0 * (prismatic * before)", "1.998 * (prismatic * before)", ON_STRAY, switched=False
     ),
     Mutant(
         "arm-speed-zero",
         STRAY,
-        "0.5 * (ends[place] + speed)",
-        "0.5 * ends[place]",
+        "0.5 * (ends[n] + speed)",
+        "0.5 * ends[n]",
         ON_STRAY,
         equivalent=NOT_ATTAINED,
         switched=False,

@@ -134,3 +134,14 @@ def test_gradients_of_poses(tmp_path: Path) -> None:
     q = torch.tensor([[0.9, 0.8], [0.1, 0.2]], dtype=torch.float64, requires_grad=True)
     assert 0.0 < float(toi(q.detach())) < 1.0
     assert torch.autograd.gradcheck(toi, (q,), eps=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_few_configurations_have_the_poses_of_many(seed: int, tmp_path: Path) -> None:
+    """Few are computed in NumPy, many in torch: to the bit the same."""
+    rng = np.random.default_rng(seed)
+    robot = loaded(random_arm(rng, 6), tmp_path)
+    q = torch.tensor(rng.uniform(-3.0, 3.0, (100, robot.joint_count)))
+    many = robot._tree.forward(q)
+    for column, few in zip(vars(many).values(), vars(robot._tree.forward(q[:7])).values(), strict=True):
+        assert torch.equal(column[:, :7], few)

@@ -20,7 +20,7 @@ TIMES = np.linspace(0.0, 1.0, 41)
 def bound_of(robot: Robot, q0: np.ndarray, q1: np.ndarray) -> np.ndarray:
     """(K, N) without the error of poses."""
     start, end = (robot._tree.forward(torch.tensor(q)) for q in (q0, q1))
-    return stray_bound(robot._tree, robot._frames, robot._extents, start, end).numpy()
+    return stray_bound(robot._chains_on(start.value.device), start, end).numpy()
 
 
 def strays(robot: Robot, arm: Arm, q0: np.ndarray, q1: np.ndarray) -> np.ndarray:
@@ -59,12 +59,13 @@ def test_no_link_strays_further(seed: int, tmp_path: Path) -> None:
     rng = np.random.default_rng(seed)
     arm = random_arm(rng, int(rng.integers(1, 9)))
     robot = loaded(arm, tmp_path)
+    chains = robot._chains_on(torch.device("cpu"))
     q0 = rng.uniform(-3.0, 3.0, (40, robot.joint_count))
     step = rng.normal(size=q0.shape) * (rng.random(q0.shape) < 0.7)
-    most = np.maximum(turns(robot._tree, robot._frames, torch.tensor(step)).numpy(), 1e-9)
+    most = np.maximum(turns(chains, torch.tensor(step)).numpy(), 1e-9)
     step *= (np.minimum(MOST_TURN, 10.0 ** rng.uniform(-4, 0.2, 40)) / most)[:, None]
     q1 = q0 + np.clip(step, -1.0, 1.0)
-    assert bool((turns(robot._tree, robot._frames, torch.tensor(q1 - q0)) <= 1.0 + 1e-9).all())
+    assert bool((turns(chains, torch.tensor(q1 - q0)) <= 1.0 + 1e-9).all())
     bound, stray = bound_of(robot, q0, q1), strays(robot, arm, q0, q1)
     assert (stray <= bound + 1e-13).all(), (stray / bound).max()
     assert (bound <= 60.0 * stray + 1e-12).mean() > 0.3  # not far from it
