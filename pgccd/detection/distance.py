@@ -27,7 +27,7 @@ class Distances:
         pairs: (K, 2) int64, i < j.
         lower: (K,) float64 >= 0, length: the surfaces are never nearer than this.
         upper: (K,) float64, length: at `time` they are at most this far apart. 0 if they intersect there, or touch with
-            their margins; inf if `lower` is above the cutoff.
+            their margins; inf if `lower` is above the cutoff, or if the search ended before it found any.
         time: (K,) float64 in [0, 1], along the whole motion; nan where `upper` is inf. If several times and points are
             equally near within the tolerance, these are of any of them.
         points: (K, 2, 3) float64, world frame: a point of the surface of i and one of j at `time`, on the meshes, not
@@ -110,6 +110,7 @@ def distance(
     if pairs is not None:
         pairs = check_pairs(pairs, scene, deforms=False)
     if isinstance(motion, Trajectory):
+        motion._refuse_gradient()
         return _along(scene, motion, limit, pairs, accuracy)
     return _of_step(scene, motion, limit, pairs, accuracy)[0]
 

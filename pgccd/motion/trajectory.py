@@ -244,6 +244,9 @@ class Trajectory:
     def to(self, device: torch.device | str) -> Trajectory:
         """A copy on another device.
 
+        Raises:
+            TypeError, ValueError: `device` names no device.
+
         Example:
             >>> trajectory = pgccd.Trajectory(torch.stack([x0, x1]), torch.stack([q0, q1])).to("cpu")
         """

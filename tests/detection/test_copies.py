@@ -103,14 +103,16 @@ def test_trajectories_and_exclusions(copied: Callable[[Any], Any], device: torch
     hits = pgccd.detect(scene, path, "all")
     assert_same(pgccd.detect(copied(scene), copied(path), "all"), hits)
     assert_same(pgccd.detect(scene.to(device), path.to("cpu").to(device), "all"), hits)
-    without = pgccd.Scene(scene.meshes, exclude=[[1, 0]])
+    without = pgccd.Scene(scene.meshes, exclude=[[1, 0]], device=device)
     some = pgccd.detect(without, path, "all")
     assert 0 < len(some) < len(hits)
     for same in (copied(without), without.to(device), pgccd.Scene.from_state_dict(without.state_dict(), device)):
         assert_same(pgccd.detect(same, path, "all"), some)
     part = path[[2, 0]]
     assert part.position.shape == (3, 2, 3) and part.margin is not None and part.margin.shape == (2, 2)
-    assert_same(pgccd.detect(pgccd.Scene(scene.meshes, [0, 1]), path[:2], "all"), hits[hits.pairs[:, 1] < 2])
+    assert_same(
+        pgccd.detect(pgccd.Scene(scene.meshes, [0, 1], device=device), path[:2], "all"), hits[hits.pairs[:, 1] < 2]
+    )
     with pytest.raises(IndexError, match="^rows: expected numbers of 3 rows"):
         path[[3]]
     with pytest.raises(TypeError, match="^rows: expected a trajectory of rigid bodies"):

@@ -430,7 +430,11 @@ def test_refusals_name_what_was_passed() -> None:
         "margin": lambda: pgccd.Trajectory(x, q, margin=wanting(torch.zeros(1, 2))),
     }
     for name, make in trajectories.items():
-        for call in (*calls, lambda motion: pgccd.audit(scene(), motion)):
+        for call in (
+            *calls,
+            lambda motion: pgccd.audit(scene(), motion),
+            lambda motion: pgccd.distance(scene(), motion, cutoff=1.0),
+        ):
             with pytest.raises(ValueError, match=rf"^{name}: requires grad.*{name}\.detach\(\)"):
                 call(make())
     with pytest.raises(ValueError, match="^rotation: requires grad"):

@@ -255,5 +255,5 @@ def test_an_invalid_pose_is_named(device: torch.device) -> None:
     with pytest.raises(ValueError, match="position_t1: body 1: expected finite"):
         pgccd.resolve(scene, motion)
     motion.position_t1.requires_grad_()
-    with pytest.raises(ValueError, match="position_t1: .*grad"):
+    with pytest.raises(ValueError, match="^linear_velocity: requires grad"):
         pgccd.resolve(scene, motion)

@@ -3,8 +3,6 @@
 // depend on what else runs.
 #pragma once
 
-#include <type_traits>
-
 #include "kernels/distance/distance.h"
 #include "kernels/distance/node_gap_item.h"
 #include "kernels/distance/triangle_gap_item.h"

@@ -1,8 +1,6 @@
 // Lower bounds of the distance of two nodes over a part of the step.
 #pragma once
 
-#include <type_traits>
-
 #include "kernels/distance/moving_pair.h"
 #include "kernels/traverse/support_item.h"
 
