@@ -251,9 +251,12 @@ def test_small_bodies_with_large_margins(turn: float) -> None:
     speck = pgccd.Mesh([[1e-10, 0, 0], [-1e-10, 1e-10, 0], [-1e-10, -1e-10, 0]], [[0, 1, 2]])
     place = np.array([[0.0, 0, 0], [3.0, 0, 0]])
     turns = np.array([[0.0, 0, turn], [0.0, turn, 0]])
-    found = Moving([speck, speck], place, np.tile(UPRIGHT, (2, 1)), place, turns, margin=np.full(2, 0.5)).distance()
+    bodies = Moving([speck, speck], place, np.tile(UPRIGHT, (2, 1)), place, turns, margin=np.full(2, 0.5))
+    found = bodies.distance()
     assert found.converged.item() and found.lower.item() <= 2.0 <= found.upper.item() + 1e-9
     assert found.upper.item() - found.lower.item() <= 1e-6
+    same = bodies.distance(tolerance=1e-6 * (speck.radius + 0.5))
+    assert torch.equal(found.lower, same.lower) and torch.equal(found.upper, same.upper)
 
 
 @pytest.mark.parametrize("part", [0.5, 0.9, 0.99, 0.999, 1.0, 1.01])
