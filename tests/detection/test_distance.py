@@ -259,6 +259,21 @@ def test_small_bodies_with_large_margins(turn: float) -> None:
     assert torch.equal(found.lower, same.lower) and torch.equal(found.upper, same.upper)
 
 
+@pytest.mark.parametrize("side", [0, 1])
+def test_a_body_far_from_its_axis(side: int) -> None:
+    """A box on an arc of radius 8 starts at about 1.0 from one of two boxes, and later passes the other one at 0.2."""
+    box = pgccd.Mesh.box([0.1] * 3)
+    swung = pgccd.Mesh(box.vertices + torch.tensor([8.0, 0, 0]), box.faces, origin=[0.0] * 3)
+    places = torch.tensor([[9.1, 0.0, 0.0], [8.3 * math.cos(1.0), 8.3 * math.sin(1.0), 0.0]])
+    both = torch.cat([box.vertices + place for place in places]), torch.cat([box.faces, box.faces + len(box.vertices)])
+    meshes = [swung, pgccd.Mesh(*both, origin=[0.0] * 3)]
+    turns = np.array([[0.0, 0, 2.0], [0.0, 0, 0]])
+    order = [1, 0] if side else [0, 1]
+    rest = np.zeros((2, 3))
+    found = Moving([meshes[b] for b in order], rest, np.tile(UPRIGHT, (2, 1)), rest, turns[order]).distance()
+    assert 0.15 < found.lower.item() <= found.upper.item() < 0.25
+
+
 @pytest.mark.parametrize("part", [0.5, 0.9, 0.99, 0.999, 1.0, 1.01])
 def test_the_upper_bound_is_infinite_exactly_where_the_lower_one_is_above_the_cutoff(part: float) -> None:
     """Also where the search has found points that are further apart than the cutoff."""
