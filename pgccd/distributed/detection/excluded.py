@@ -1,4 +1,4 @@
-"""Pairs of bodies of a `World` that are never tested, by global ids: the same on all ranks, whoever owns the bodies."""
+"""Pairs of bodies of a `World` that are never tested, by global ids. Every rank holds all of them."""
 
 from __future__ import annotations
 
