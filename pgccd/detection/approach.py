@@ -82,24 +82,23 @@ class Cause:
     def rate(self, contacts: Contacts, bodies: Tensor) -> Tensor:
         """`Contacts.approach` (K,), of rows (K, 2) of the motion."""
         self.require_unchanged()
-        if contacts._differentiable is None:
-            with torch.no_grad():
-                return self._rate(contacts, bodies)
-        rate = self._rate(contacts, bodies)
-        sound = contacts.differentiable
-        return with_gradient_of(rate, torch.where(sound, rate, 0.0), "approach")
-
-    def _rate(self, contacts: Contacts, bodies: Tensor) -> Tensor:
-        position, velocity = corner_points(
-            self.scene, self.motion, bodies, contacts.kind, contacts.features, contacts.toi
-        )
-        speed = _weighted(contacts, position.detach(), velocity)
-        rate = -(contacts.normal * (speed[:, 1] - speed[:, 0])).sum(1)
         with torch.no_grad():
             sites = Sites.of(contacts, self.scene._detached(), self.motion._detached(), bodies)
-            is_reversed = sites.is_reversed(contacts.normal.detach().cpu()).to(rate.device)
-            is_reversed = is_reversed & (contacts.kind <= Kind.EE)
-        return torch.where(is_reversed, -rate, rate)
+            normal = contacts.normal.detach().cpu()
+            rate = -dot(normal, sites.velocity())
+            is_reversed = sites.is_reversed(normal) & (sites.kind <= Kind.EE)
+            rate = torch.where(is_reversed, -rate, rate).to(bodies.device)
+        if contacts._differentiable is None:
+            return rate
+        expression = self._expression(contacts, bodies)
+        expression = torch.where(is_reversed.to(bodies.device), -expression, expression)
+        return with_gradient_of(rate, torch.where(contacts.differentiable, expression, 0.0), "approach")
+
+    def _expression(self, contacts: Contacts, bodies: Tensor) -> Tensor:
+        """(K,): the rate of contacts of vertices with faces and of edges, with gradients; bits depend on the device."""
+        _, velocity = corner_points(self.scene, self.motion, bodies, contacts.kind, contacts.features, contacts.toi)
+        speed = _weighted(contacts, velocity)
+        return -(contacts.normal * (speed[:, 1] - speed[:, 0])).sum(1)
 
     def recedes(self, contacts: Contacts, bodies: Tensor, slack: float | None) -> Tensor:
         """(K,) bool: contacts whose features, and the surfaces around them, certainly come closer by at most `slack` in
@@ -125,24 +124,17 @@ def versions_of(motion: RigidMotion | VertexMotion) -> list[int]:
     return [0 if column.is_inference() else column._version for column in (getattr(motion, n) for n in motion._names)]
 
 
-def _weighted(contacts: Contacts, position: Tensor, velocity: Tensor) -> Tensor:
-    """(K, 2, 3): velocities of the nearest points of both features, from corners (K, 2, 3, 3), see `Corners`."""
+def _weighted(contacts: Contacts, velocity: Tensor) -> Tensor:
+    """(K, 2, 3): velocities of the nearest points of both features; of vertices with faces and of edges.
+
+    Args:
+        velocity: (K, 2, 3, 3), of corners, see `Corners`.
+    """
     u, v = contacts.coordinates.unbind(1)
     zero = torch.zeros_like(u)
     weights = torch.stack([1.0 - u - v, u, v], 1)[:, None].expand(-1, 2, -1)
-    kind = contacts.kind[:, None]
     on_edges = torch.stack([torch.stack([1.0 - u, u, zero], 1), torch.stack([1.0 - v, zero, v], 1)], 1)
-    weights = torch.where((kind == Kind.EE)[:, :, None], on_edges, weights)
-    # An edge that passes through a face: where on the edge follows from the point.
-    for side, kind_of in ((0, Kind.EF_AB), (1, Kind.EF_BA)):
-        start, end = position[:, side, 0], position[:, side, 1 + side]
-        along = end - start
-        square = (along * along).sum(1)
-        at = ((contacts.point.detach() - start) * along).sum(1) / torch.where(square > 0.0, square, 1.0)
-        at = at.clamp(0.0, 1.0)
-        of_edge = torch.stack([1.0 - at, at, zero] if side == 0 else [1.0 - at, zero, at], 1)
-        weights = weights.clone()
-        weights[:, side] = torch.where(kind == kind_of, of_edge, weights[:, side])
+    weights = torch.where((contacts.kind == Kind.EE)[:, None, None], on_edges, weights)
     return (weights[:, :, :, None] * velocity).sum(2)
 
 

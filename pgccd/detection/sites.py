@@ -10,6 +10,7 @@ from torch import Tensor
 
 from pgccd import ops
 from pgccd.detection.contacts import Contacts
+from pgccd.detection.narrow import Kind
 from pgccd.geometry.incidence import Incidence
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
@@ -181,9 +182,31 @@ class Sites:
         kind, corners = self.counted[:, side], self.corners(side)
         at = [of_vertices(side, every, corner) for corner in corners.unbind(1)]
         on_face = at[0] + (u[:, None] * (at[1] - at[0]) + v[:, None] * (at[2] - at[0]))
-        along = (u if side == 0 else v)[:, None]
-        on_edge = at[0] + along * (at[1] - at[0])
+        on_edge = at[0] + self._part_of_edge(side)[:, None] * (at[1] - at[0])
         return torch.where((kind == FACE)[:, None], on_face, torch.where((kind == EDGE)[:, None], on_edge, at[0]))
+
+    def _part_of_edge(self, side: int) -> Tensor:
+        """(K,): where on an edge of one side the nearest point is, from 0 at its first vertex to 1 at its second."""
+        part = self.coordinates[:, side]
+        # The coordinates of an edge that passes through a face are those of the point in the face.
+        rows = torch.nonzero(self.kind == (Kind.EF_AB, Kind.EF_BA)[side])[:, 0]
+        if len(rows) == 0:
+            return part
+        first, second, _ = self.corners(side)[rows].unbind(1)
+        start = self.arms(side, rows, first)
+        along = self.arms(side, rows, second) - start
+        square = dot(along, along)
+        of_point = dot(self._arm_of_point(side)[rows] - start, along) / torch.where(square > 0.0, square, 1.0)
+        return part.index_put((rows,), of_point.clamp(0.0, 1.0))
+
+    def _arm_of_point(self, side: int) -> Tensor:
+        """(K, 3): from the reference of the body of one side at toi to the contact's point."""
+        if isinstance(self.motion, VertexMotion):
+            return torch.zeros_like(self.point)
+        body = self.bodies[:, side]
+        start = self.motion.position_t0.detach()[body]
+        change = self.motion.position_t1.detach()[body] - start
+        return self.point - (start + self.toi[:, None] * change)
 
     def corners(self, side: int) -> Tensor:
         """(K, 3): vertices of the features of one side; of an edge the second twice, of a vertex the same."""

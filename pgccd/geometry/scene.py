@@ -45,6 +45,15 @@ class _Derived:
         if not torch.compiler.is_compiling():
             self.seen = self.column.clone() if self.column.device.type == "cpu" else _version(self.column)
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Writes to a copy of the column are counted anew, so that whether it has changed must be asked now."""
+        return {"column": self.column, "value": self.value, "is_current": self.is_of(self.column)}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.column, self.value, self.seen = state["column"], state["value"], None
+        if state["is_current"]:
+            self.__post_init__()
+
     def is_of(self, column: Tensor) -> bool:
         """Whether the value was derived from the present values of this column."""
         if torch.compiler.is_compiling():  # values are not available
@@ -58,6 +67,14 @@ class _Derived:
 def _version(column: Tensor) -> int | None:
     """Counter of in-place writes to the column; None where torch does not track it."""
     return None if torch.compiler.is_compiling() or column.is_inference() else column._version
+
+
+def _tracked(column: Tensor | None) -> Tensor | None:
+    """The column, or a copy of it whose writes torch counts, which it does not for tensors made in inference mode."""
+    if column is None or torch.compiler.is_compiling() or not column.is_inference():
+        return column
+    with torch.inference_mode(False):
+        return column.clone()
 
 
 @dataclass(frozen=True)
@@ -237,6 +254,7 @@ class Scene:
 
     def _remember(self) -> None:
         self._validated_index = _Derived(self.mesh_index, None)
+        self.self_collision, self.exclude = _tracked(self.self_collision), _tracked(self.exclude)
         self._fixed = None if self.self_collision is None else _Derived(self.self_collision, None)
         self._fixed_exclude = None if self.exclude is None else _Derived(self.exclude, None)
 
@@ -348,6 +366,9 @@ class Scene:
             if not column.is_contiguous():
                 raise ValueError(f"{name}: expected a contiguous tensor")
             arguments.refuse_gradient(column, name)
+        self._check_fixed()
+
+    def _check_fixed(self) -> None:
         if self._is_trusted:
             return
         for name, fixed in (("self_collision", self._fixed), ("exclude", self._fixed_exclude)):
@@ -422,12 +443,13 @@ class Scene:
         """A copy on another device, meshes included.
 
         Raises:
-            TypeError, ValueError: it is not a device.
+            TypeError, ValueError: it is not a device, or a column that is fixed was written to.
 
         Example:
             >>> scene = scene.to("cpu")
         """
         meshes = self.meshes.to(device)
+        self._check_fixed()
         moved = copy.copy(self)
         moved.meshes, moved.device = meshes, meshes.device
         moved._radius = moved._layout = moved._world_count = moved._own_estimates = None

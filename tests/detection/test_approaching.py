@@ -7,7 +7,9 @@ from typing import Any
 
 import pytest
 import torch
+from support.random_scenes import random_scene
 from support.resting import KINDS, UPRIGHT, Kind, box, gap_of_boxes, joined, sheet, sliding
+from support.same_bits import bits
 from torch import Tensor
 
 import pgccd
@@ -416,3 +418,47 @@ def _product(a: Tensor, b: Tensor) -> Tensor:
     (w, u), (s, v) = ((q[:, :1], q[:, 1:]) for q in (a, b))
     scalar = w * s - (u * v).sum(1, keepdim=True)
     return torch.cat([scalar, w * v + s * u + torch.linalg.cross(u, v)], 1)
+
+
+@pytest.mark.parametrize("kind", ["rigid", "linear", "deforming"])
+def test_the_rate_of_edges_in_faces(kind: str, device: torch.device) -> None:
+    """Of bodies that intersect at t = 0: the velocities of their points at the contact, along the normal."""
+    generator = torch.Generator().manual_seed(3)
+    x, v, w = (torch.randn(6, 3, generator=generator, dtype=torch.float64).to(device) for _ in range(3))
+    q = torch.tensor([UPRIGHT] * 6, dtype=torch.float64, device=device)
+    scene = pgccd.Scene([box((0.9, 0.7, 1.1))], [0] * 6, device=device)
+    motion: Any = pgccd.RigidMotion.from_velocity(x, q, v, w, 1.0, path="linear" if kind == "linear" else "rigid")
+    turned = pgccd.RigidMotion.from_velocity(0 * x, q, 0 * x, w, 1.0).at(1.0)[1]
+    matrices = matrices_of(turned)  # upright at t = 0
+    if kind == "deforming":
+        vertices = scene.meshes.meshes[0].vertices.to(device)
+        end = x[:, None] + v[:, None] + vertices @ matrices.mT
+        motion = pgccd.VertexMotion((x[:, None] + vertices).flatten(0, 1), end.flatten(0, 1))
+    hits = pgccd.detect(scene, motion, "all")
+    hits = hits[hits.kind >= pgccd.Kind.EF_AB]
+    assert len(hits) > 20 and set(hits.kind.tolist()) == {3, 4}
+    arm = hits.point[:, None] - x[hits.pairs]
+    if kind == "rigid":
+        velocity = v[hits.pairs] + torch.linalg.cross(w[hits.pairs], arm)
+    else:
+        velocity = v[hits.pairs] + (matrices[hits.pairs] @ arm[..., None])[..., 0] - arm
+    expected = -(hits.normal * (velocity[:, 1] - velocity[:, 0])).sum(1)
+    assert torch.allclose(hits.approach, expected, rtol=0.0, atol=1e-9)
+
+
+def matrices_of(quaternion: Tensor) -> Tensor:
+    """(N, 3, 3), of unit quaternions (N, 4)."""
+    axes = torch.eye(3, dtype=torch.float64, device=quaternion.device)
+    scalar, vector = quaternion[:, None, :1], quaternion[:, None, 1:].expand(-1, 3, -1)
+    twice = 2.0 * torch.linalg.cross(vector, axes.expand_as(vector))
+    return (axes + scalar * twice + torch.linalg.cross(vector, twice)).mT
+
+
+@pytest.mark.parametrize("seed", range(24))
+def test_rates_have_the_same_bits_on_every_device(seed: int, device: torch.device) -> None:
+    chosen = random_scene(seed)
+    rates = []
+    for each in (torch.device("cpu"), device):
+        hits = pgccd.detect(chosen.scene(each), chosen.motion(each), "all")
+        rates.append(hits.approach.cpu())
+    assert torch.equal(*(bits(rate) for rate in rates))

@@ -63,6 +63,28 @@ def test_what_overflowed_or_was_invalid(copied: Callable[[Any], Any], device: to
         padded.trim()
 
 
+@pytest.mark.parametrize("copied", [*COPIES, lambda scene: scene.to(scene.device)])
+def test_columns_that_are_fixed(copied: Callable[[Any], Any], device: torch.device) -> None:
+    """A copy knows that they are as given, and whether they have been written to, before it was made or since."""
+    mesh = pgccd.Mesh.box([1.0, 1.0, 1.0])
+    x = torch.tensor([[0.0, 0, 0], [3, 0, 0], [6, 0, 0]], dtype=torch.float64, device=device)
+    motion = pgccd.RigidMotion.from_velocity(x, torch.eye(4, device=device)[:1].expand(3, 4), -x, 0 * x, 1.0)
+    for inference in (False, True):
+        with torch.inference_mode(inference):
+            exclude, colliding = torch.tensor([[0, 1]], device=device), torch.zeros(3, dtype=torch.bool, device=device)
+            given: dict[str, torch.Tensor] = {"exclude": exclude, "self_collision": colliding}
+            scene = pgccd.Scene([mesh], [0, 0, 0], device=device, **given)
+            again = copied(copied(scene))
+            assert pgccd.detect(again, motion).pairs.tolist() == [[0, 2], [1, 2]]
+        for name in given:
+            written = copied(scene)
+            setattr(written, name, getattr(written, name).clone())
+            getattr(written, name)[0] = 2
+            for again in (lambda value: value, copied):
+                with pytest.raises(ValueError, match=f"^{name}: it is fixed, but was written"):
+                    pgccd.detect(again(written), motion)
+
+
 @pytest.mark.parametrize("copied", COPIES)
 def test_scenes_meshes_and_motions(copied: Callable[[Any], Any]) -> None:
     scene, motion = step()

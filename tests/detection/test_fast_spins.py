@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 from strategies import contacts
 from support.candidates import assert_touching, missed
+from support.host_program import run_program
 from support.origins import moved_to
 from support.same_bits import columns_of, difference, first_rows
 from support.shapes import bumpy, tensors, unit_quaternions
 
 import pgccd
 from pgccd.detection import narrow
+from pgccd.detection.capacity import sizes_of
 
 COLUMNS = ("pair", "kind", "features", "status", "toi", "coordinates", "point", "normal")
 
@@ -116,6 +119,67 @@ def test_early_contacts_end_the_search(report: narrow.Report) -> None:
         counts.append((hits.stats.candidates, hits.stats.node_tests))
     (candidates, node_tests), (candidates_later, node_tests_later) = counts
     assert candidates_later < 2 * candidates + 100 and node_tests_later < 2 * node_tests + 100
+
+
+def on_one_circle(count: int, device: torch.device) -> tuple[pgccd.Scene, pgccd.RigidMotion]:
+    """Bodies far from their origins, on one circle, at different speeds: they meet at all times of the step."""
+    rng = np.random.default_rng(5)
+    mesh = bumpy(rng)
+    mesh = pgccd.Mesh(mesh.vertices.numpy() + [200.0, 0.0, 0.0], mesh.faces)
+    angle, turn = rng.uniform(0.0, 2.0 * np.pi, count), rng.uniform(40.0, 90.0, count) * rng.choice([-1.0, 1.0], count)
+    zero = np.zeros(count)
+    q = np.column_stack([np.cos(angle / 2.0), zero, zero, np.sin(angle / 2.0)])
+    position = np.column_stack([zero, zero, rng.uniform(-1.0, 1.0, count)])
+    x0, q, x1, w = tensors(position, q, position, np.column_stack([zero, zero, turn]), device=device)
+    scene = pgccd.Scene([mesh], torch.zeros(count, dtype=torch.int64), device=device)
+    return scene, pgccd.RigidMotion.from_rotation(x0, q, x1, w)
+
+
+def test_a_shorter_search_of_one_pair_leaves_the_others_alone(device: torch.device) -> None:
+    """Pairs that turn fast keep two poses each, also once they are searched until their first contact only: there the
+    time divided by its segments is longer than they ask for.
+    """
+    scene, motion = on_one_circle(16, device)
+    expected = pgccd.detect(*on_one_circle(16, torch.device("cpu")), "first", initial="assume_free")
+    assert len(expected) == len(pgccd.detect(scene, motion, "any").pairs) > 60
+    assert int(((expected.toi > 0.01) & (expected.toi < 0.05)).sum()) > 20
+    capacity = sizes_of(pgccd.detect(scene, motion, "first", initial="assume_free").stats.needed).times(2.0)
+    for crowded in (False, True):
+        given = replace(capacity, crowded=crowded, poses=100_000, candidates=1 << 21, leaf_pairs=1 << 20, open=1 << 21)
+        found = pgccd.detect(scene, motion, "first", initial="assume_free", capacity=given).trim()
+        assert difference(columns_of(found), columns_of(expected)) is None
+
+
+def test_a_shorter_motion_that_turns_fast_still_does(tmp_path: Path) -> None:
+    """Its number of segments is bounded by its turn, and by what the search has memory for from below."""
+    program = """
+#include <cstdio>
+#include "kernels/traverse/rigid_sweep.h"
+
+using namespace pgccd;
+
+int main() {
+  const MeshOffsets offsets[2] = {};
+  const int32_t mesh_index[2] = {0, 0};
+  const double position[6] = {0.0, 0.0, 0.0, 0.0, 0.0, 1.0}, radius[2] = {100.0, 0.01};
+  const double orientation[8] = {1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0};
+  const double rotation[6] = {0.0, 0.0, 90.0, 0.0, 0.0, 60.0};
+  RigidBodies bodies{};
+  bodies.meshes.offsets = offsets;
+  bodies.mesh_index = mesh_index;
+  bodies.centres = {position, position, radius, 2};
+  bodies.orientation = orientation;
+  bodies.rotation = rotation;
+  SweepSettings settings{};
+  settings.divides_time = true;
+  for (double until = 1.0; until > 1e-6; until *= 0.9) {
+    const RigidSweep sweep(bodies, 0, 1, settings, until), kept(bodies, 0, 1, settings, until, kStoredSegments + 1);
+    if (!kept.turns_fast() || kept.segment_count < sweep.segment_count) return 1;
+    std::printf("%d", sweep.turns_fast());
+  }
+}
+"""
+    assert set(run_program(program, tmp_path)) == {"0", "1"}
 
 
 def test_poses_of_many_segments_are_not_kept(device: torch.device) -> None:

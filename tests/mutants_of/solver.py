@@ -16,6 +16,13 @@ def _mutant(name: str, file: str, old: str, new: str, within: str = "", equivale
 
 
 MUTANTS = [
+    Mutant(
+        "edge-in-face-at-face-coordinates",
+        SITES,
+        "if len(rows) == 0:",
+        "if True:",
+        ON_APPROACH,
+    ),
     _mutant(
         "rate-sign",
         APPROACH,

@@ -6,6 +6,13 @@ from mutants_of.mutant import LOCAL_ROUNDING, ON_FAST_SPINS, ON_SUPPORTS, ON_TRA
 
 MUTANTS = [
     Mutant(
+        "fewer-segments-than-given",
+        TRAVERSE + "rigid_sweep.h",
+        "segment_count = larger(segment_count, static_cast<int>(std::ceil(smaller(wanted, most))));",
+        "segment_count = static_cast<int>(std::ceil(smaller(wanted, most)));",
+        ON_FAST_SPINS,
+    ),
+    Mutant(
         "arc-deviation-zero",
         TRAVERSE + "rigid_sweep.h",
         "sweep_detail::kept_distance(centres, i, j, settings) + deviation",

@@ -55,6 +55,7 @@ struct alignas(16) RigidSweep : PairFrame {
   float start_distance;
   float segment_deviation;  // of the chords of one segment, local units
 
+  // `least_segments`: so many segments or more, whatever the motion.
   PGCCD_HD RigidSweep(const RigidBodies& bodies, int64_t i, int64_t j, const SweepSettings& settings, double until,
                       int least_segments = 1)
       : RigidSweep(bodies, i, j, settings, until, least_segments, CentrePath(bodies, i, j)) {}
@@ -77,7 +78,9 @@ struct alignas(16) RigidSweep : PairFrame {
       const double wanted = std::sqrt(bend / (0.02 * smaller(ri, rj)));
       const double most =
           sweep_detail::most_segments(horizon * std::sqrt(larger(turn_i, turn_j)), settings.divides_time);
-      if (wanted > segment_count) segment_count = static_cast<int>(std::ceil(smaller(wanted, most)));
+      if (wanted > segment_count) {
+        segment_count = larger(segment_count, static_cast<int>(std::ceil(smaller(wanted, most))));
+      }
       deviation = bend / (static_cast<double>(segment_count) * segment_count);
     }
     const double distance = sweep_detail::kept_distance(centres, i, j, settings) + deviation + path.rounding;
