@@ -5,8 +5,10 @@ from __future__ import annotations
 from mutants_of.mutant import Mutant
 
 APPROACH = "pgccd/detection/approach.py"
+SITES = "pgccd/detection/sites.py"
 NORMALS = "pgccd/detection/surface_normals.py"
 ON_APPROACH = ("detection/test_approaching.py",)
+ON_GRADIENTS = ("detection/test_gradients.py",)
 ON_NORMALS = ("detection/test_surface_cones.py", "detection/test_surface_normals.py")
 
 
@@ -16,39 +18,57 @@ def _mutant(name: str, file: str, old: str, new: str, within: str = "", equivale
 
 
 MUTANTS = [
-    Mutant(
-        "edge-in-face-at-face-coordinates",
-        SITES,
-        "if len(rows) == 0:",
-        "if True:",
-        ON_APPROACH,
-    ),
-    _mutant(
-        "rate-sign",
-        APPROACH,
-        "rate = -(contacts.normal",
-        "rate = (contacts.normal",
-    ),
-    _mutant("rate-of-one-body", APPROACH, "(speed[:, 1] - speed[:, 0])", "speed[:, 1]"),
+    Mutant("edge-in-face-at-face-coordinates", SITES, "if len(rows) == 0:", "if True:", ON_APPROACH, switched=False),
+    _mutant("rate-sign", APPROACH, "rate = -dot(normal, ", "rate = dot(normal, "),
     _mutant("rate-reversed", APPROACH, "torch.where(is_reversed, -rate, rate)", "rate"),
-    _mutant("rate-at-the-first-corner", APPROACH, "(weights[:, :, :, None] * velocity).sum(2)", "velocity[:, :, 0]"),
     Mutant(
-        "rate-angular",
-        "pgccd/detection/gradients.py",
-        "travel + torch.linalg.cross(rotation.expand_as(arm), arm)",
-        "travel.expand_as(arm)",
+        "rate-of-one-body",
+        SITES,
+        "(self._of_nearest(1, self._rates) - self._of_nearest(0, self._rates))",
+        "self._of_nearest(1, self._rates)",
         ON_APPROACH,
         switched=False,
     ),
     Mutant(
         "rate-turns-back",
-        "pgccd/detection/gradients.py",
-        "travel + torch.linalg.cross(rotation.expand_as(arm), arm)",
-        "travel - torch.linalg.cross(rotation.expand_as(arm), arm)",
+        SITES,
+        "return cross(rotation, self.arms(side, owner, vertex))",
+        "return -cross(rotation, self.arms(side, owner, vertex))",
         ON_APPROACH,
         switched=False,
     ),
-    _mutant("rate-between-edges", APPROACH, "torch.stack([1.0 - v, zero, v], 1)", "torch.stack([1.0 - v, v, zero], 1)"),
+    Mutant(
+        "rate-gradient-of-one-body",
+        APPROACH,
+        "(speed[:, 1] - speed[:, 0])",
+        "speed[:, 1]",
+        ON_GRADIENTS,
+        switched=False,
+    ),
+    Mutant(
+        "rate-gradient-at-the-first-corner",
+        APPROACH,
+        "(weights[:, :, :, None] * velocity).sum(2)",
+        "velocity[:, :, 0]",
+        ON_GRADIENTS,
+        switched=False,
+    ),
+    Mutant(
+        "rate-gradient-between-edges",
+        APPROACH,
+        "torch.stack([1.0 - v, zero, v], 1)",
+        "torch.stack([1.0 - v, v, zero], 1)",
+        ON_GRADIENTS,
+        switched=False,
+    ),
+    Mutant(
+        "rate-gradient-turns-back",
+        "pgccd/detection/gradients.py",
+        "travel + torch.linalg.cross(rotation.expand_as(arm), arm)",
+        "travel - torch.linalg.cross(rotation.expand_as(arm), arm)",
+        ON_GRADIENTS,
+        switched=False,
+    ),
     _mutant("recedes-slack-1.001", APPROACH, "needed = gap - slack", "needed = gap - 1.001 * slack"),
     _mutant("recedes-gap-0.999", APPROACH, "needed = gap - slack", "needed = 0.999 * gap - slack"),
     _mutant("recedes-at-toi-only", APPROACH, "torch.minimum(*gaps)", "gaps[0]"),

@@ -16,7 +16,7 @@ MOTIONS = ("arcs", "linear", "vertices", "trajectory")
 #: Of both sides of the comparison.
 TOLERANCE = 1e-12
 _STEP = 5e-4  # of the differences; its fourth power is their error
-_COLUMNS = ("toi", "point", "coordinates", "normal")
+_COLUMNS = ("toi", "point", "coordinates", "normal", "approach")
 
 Inputs = dict[str, Tensor]
 
