@@ -18,8 +18,8 @@ from pgccd.motion.paths import RigidMotion, VertexMotion
 # Of the kinds, by side (i, j): which features `features` counts; columns of `MeshSet.offsets`.
 VERTEX, FACE, EDGE = 0, 1, 2
 _COUNTED = ((VERTEX, FACE), (FACE, VERTEX), (EDGE, EDGE), (EDGE, FACE), (FACE, EDGE))
-# Sums of coordinates from here on are on the third edge of a face: a rounding below 1.
-_ON_THIRD_EDGE = 1.0 - 2.0**-51
+# Coordinates of a point on the border of a feature may differ from 0 and 1 by so much, which is rounding.
+_ROUNDED = 2.0**-46
 # Offsets below this part of the size of what was subtracted may be rounding.
 _NOISE = 2.0**-36
 
@@ -223,14 +223,14 @@ class Sites:
         corners = self.corners(side)
         at = u if side == 0 else v
         is_edge, is_face = kind == EDGE, kind == FACE
-        low_u, low_v, high = u <= 0.0, v <= 0.0, u + v >= _ON_THIRD_EDGE
+        low_u, low_v, high = u <= _ROUNDED, v <= _ROUNDED, u + v >= 1.0 - _ROUNDED
         borders = low_u.long() + low_v.long() + high.long()
         # Edges of a face: 0 from the first corner (v = 0), 1 opposite of it, 2 back to it (u = 0).
         which = torch.where(low_v, 0, torch.where(high, 1, 2))
         of_face = self.incidence.face_edges[torch.where(is_face, feature, 0)].gather(1, which[:, None])[:, 0]
         corner = torch.where(low_u & low_v, 0, torch.where(low_v, 1, 2))
-        corner = torch.where(is_edge, (at >= 1.0).long(), corner)
-        at_corner = torch.where(is_edge, (at <= 0.0) | (at >= 1.0), borders >= 2)
+        corner = torch.where(is_edge, (at > 0.5).long(), corner)
+        at_corner = torch.where(is_edge, (at <= _ROUNDED) | (at >= 1.0 - _ROUNDED), borders >= 2)
         on_edge = torch.where(is_face, borders == 1, is_edge) & ~at_corner
         is_vertex = (kind == VERTEX) | at_corner
         vertex = corners.gather(1, corner[:, None])[:, 0]

@@ -15,12 +15,15 @@ from torch import Tensor
 
 from pgccd.detection.narrow import Kind
 from pgccd.detection.sites import EDGE, FACE, VERTEX, Sites, cross, dot, norm, reduced, unit_or_zero
+from pgccd.motion.differentiable import sum_by_row
 
 Normals = Literal["features", "surface"]
 NORMALS = ("features", "surface")
 
 # Sines of angles below which faces count as coplanar, and points as in a plane.
 _FLAT = 1e-5
+# A point is at a corner of a face if it is nearer to it than this part of the distance to the farthest one.
+_AT_CORNER = 2.0**-40
 # A surface is on one side of a plane if it reaches this many times as far there as on the other.
 _ONE_SIDED = 1e5
 
@@ -78,9 +81,11 @@ class _Side:
 
 
 def _corners(sites: Sites, side: int, point: Tensor, owner: Tensor, face: Tensor) -> Tensor:
-    """(m, 3, 3): corners of faces (m,) of one side, relative to a point (K, 3) of contacts (m,)."""
+    """(m, 3, 3): corners of faces (m,) of one side, relative to a point (K, 3) of contacts (m,); zero if that is one."""
     vertices = sites.incidence.faces[face].reshape(-1)
-    return sites.arms(side, owner.repeat_interleave(3), vertices).view(-1, 3, 3) - point[owner][:, None]
+    corners = sites.arms(side, owner.repeat_interleave(3), vertices).view(-1, 3, 3) - point[owner][:, None]
+    length = norm(corners)
+    return torch.where((length > _AT_CORNER * length.amax(1, keepdim=True))[:, :, None], corners, 0.0)
 
 
 def _wound(corners: Tensor) -> Tensor:
@@ -110,11 +115,16 @@ def _of_all(sites: Sites, normal: Tensor) -> Tensor:
     offset, noise = sites.offset()
     surfaces = [_Surface.of(sites, sides[k], sides[1 - k], offset, noise, normal) for k in (0, 1)]
     one, other = surfaces
+    # Vertices that coincide have no direction of their own.
+    coincide = (norm(offset) <= noise) & (sides[0].what == VERTEX) & (sides[1].what == VERTEX)
+    mean = unit_or_zero(one.mean() + other.mean())
+    normal = torch.where((coincide & one.admits(mean) & other.admits(mean))[:, None], mean, normal)
     by_other = other.nearest(one.nearest(normal))
     by_one = one.nearest(other.nearest(normal))
-    # A surface with few directions has the last word.
-    last_is_one = (sides[0].what == FACE) | (one.is_rigid & ~other.is_rigid)
-    return torch.where(last_is_one[:, None], by_one, by_other)
+    # A surface with few directions has the last word; of two that are flat there, the one with the larger face.
+    is_larger = one.largest_face() > other.largest_face()
+    last_is_one = one.is_rigid & (~other.is_rigid | is_larger) & (sides[1].what != FACE)
+    return torch.where((last_is_one | (sides[0].what == FACE))[:, None], by_one, by_other)
 
 
 @dataclass
@@ -159,13 +169,34 @@ class _Surface:
         is_rigid = torch.ones(len(sites), dtype=torch.bool, device=offset.device).index_fill(0, edge_owner, False)
         return cls(own.side, own.owner, normals, own.away, edge_owner, along[kept], apexes[kept], is_rigid)
 
+    def admits(self, normal: Tensor) -> Tensor:
+        """(K,) bool: all faces are behind the plane through the point with the normal (K, 3), and some edge is convex."""
+        outside = -1.0 if self.side == 1 else 1.0
+        behind = _is_behind(outside * normal[self.owner][:, None], self.away).all(1)
+        all_behind = reduced(behind.double(), self.owner, len(normal), "amin", 1.0) > 0.0
+        return all_behind & ~self.is_rigid & (norm(normal) > 0.0)
+
+    def mean(self) -> Tensor:
+        """(K, 3): mean of the normals of the faces around vertices, of unit length or zero, with the weights of Max
+        (1999): those give the normal of a sphere if all vertices are on it.
+        """
+        corner = norm(self.away).argmin(1)
+        a, b = (self.away.gather(1, ((corner + k) % 3)[:, None, None].expand(-1, 1, 3))[:, 0] for k in (1, 2))
+        squares = dot(a, a) * dot(b, b)
+        weight = norm(cross(a, b)) / torch.where(squares > 0.0, squares, 1.0)
+        largest = reduced(weight, self.owner, len(self.is_rigid), "amax", 0.0)[self.owner]
+        weight = weight / torch.where(largest > 0.0, largest, 1.0)
+        return unit_or_zero(sum_by_row(weight[:, None] * self.normals, self.owner, len(self.is_rigid)))
+
+    def largest_face(self) -> Tensor:
+        """(K,): twice the area of the largest face around the nearest point."""
+        double_area = norm(cross(self.away[:, 1] - self.away[:, 0], self.away[:, 2] - self.away[:, 0]))
+        return reduced(double_area, self.owner, len(self.is_rigid), "amax", 0.0)
+
     def nearest(self, normal: Tensor) -> Tensor:
         """(K, 3): of the normals that this surface may have those nearest to `normal` (K, 3)."""
         count, outside = len(normal), -1.0 if self.side == 1 else 1.0
-        # Whether all faces are behind the plane through the point.
-        behind = _is_behind(outside * normal[self.owner][:, None], self.away).all(1)
-        is_kept = reduced(behind.double(), self.owner, count, "amin", 1.0) > 0.0
-        is_kept = is_kept & ~self.is_rigid & (norm(normal) > 0.0)
+        is_kept = self.admits(normal)
         # In the plane across a convex edge.
         of_edge = normal[self.edge_owner]
         across = unit_or_zero(of_edge - dot(of_edge, self.along)[:, None] * self.along)

@@ -8,8 +8,8 @@ MUTANTS = [
     Mutant(
         "fewer-segments-than-given",
         TRAVERSE + "rigid_sweep.h",
-        "segment_count = larger(segment_count, static_cast<int>(std::ceil(smaller(wanted, most))));",
-        "segment_count = static_cast<int>(std::ceil(smaller(wanted, most)));",
+        "larger(segment_count, static_cast<int>(std::ceil(smaller(wanted, most))))",
+        "static_cast<int>(std::ceil(smaller(wanted, most)))",
         ON_FAST_SPINS,
     ),
     Mutant(
