@@ -81,7 +81,9 @@ class _Side:
 
 
 def _corners(sites: Sites, side: int, point: Tensor, owner: Tensor, face: Tensor) -> Tensor:
-    """(m, 3, 3): corners of faces (m,) of one side, relative to a point (K, 3) of contacts (m,); zero if that is one."""
+    """(m, 3, 3): corners of faces (m,) of one side, relative to a point (K, 3) of contacts (m,); one of them may be
+    that point, and is zero then.
+    """
     vertices = sites.incidence.faces[face].reshape(-1)
     corners = sites.arms(side, owner.repeat_interleave(3), vertices).view(-1, 3, 3) - point[owner][:, None]
     length = norm(corners)
@@ -170,7 +172,7 @@ class _Surface:
         return cls(own.side, own.owner, normals, own.away, edge_owner, along[kept], apexes[kept], is_rigid)
 
     def admits(self, normal: Tensor) -> Tensor:
-        """(K,) bool: all faces are behind the plane through the point with the normal (K, 3), and some edge is convex."""
+        """(K,) bool: some edge is convex, and all faces are behind the plane through the point with the normal (K, 3)."""
         outside = -1.0 if self.side == 1 else 1.0
         behind = _is_behind(outside * normal[self.owner][:, None], self.away).all(1)
         all_behind = reduced(behind.double(), self.owner, len(normal), "amin", 1.0) > 0.0

@@ -192,6 +192,11 @@ MUTANTS = [
     _mutant(
         "normals-parallel", NORMALS, "normal, -unit_or_zero(sites.velocity())", "normal, unit_or_zero(sites.velocity())"
     ),
-    _mutant("normals-last", NORMALS, "(one.is_rigid & ~other.is_rigid)", "(~one.is_rigid & other.is_rigid)"),
-    _mutant("normals-last-of-a-face", NORMALS, "last_is_one = (sides[0].what == FACE) | (", "last_is_one = ("),
+    _mutant("normals-last", NORMALS, "one.is_rigid & (~other.is_rigid | is_larger)", "~one.is_rigid"),
+    _mutant("normals-last-of-a-face", NORMALS, "(last_is_one | (sides[0].what == FACE))", "last_is_one"),
+    _mutant("normals-last-of-the-second-face", NORMALS, " & (sides[1].what != FACE)\n", "\n"),
+    _mutant("normals-last-of-the-smaller-face", NORMALS, "one.largest_face() > other", "one.largest_face() < other"),
+    _mutant("normals-of-vertices-features", NORMALS, "(coincide & one.admits(mean)", "(~coincide & one.admits(mean)"),
+    _mutant("normals-of-vertices-unweighted", NORMALS, "weight[:, None] * self.normals", "self.normals"),
+    _mutant("normals-of-vertices-beside", NORMALS, "corners, 0.0)", "corners, corners)"),
 ]
