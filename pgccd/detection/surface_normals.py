@@ -172,7 +172,7 @@ class _Surface:
         return cls(own.side, own.owner, normals, own.away, edge_owner, along[kept], apexes[kept], is_rigid)
 
     def admits(self, normal: Tensor) -> Tensor:
-        """(K,) bool: some edge is convex, and all faces are behind the plane through the point with the normal (K, 3)."""
+        """(K,) bool: some edge is convex, and all faces are behind the plane with the normal (K, 3)."""
         outside = -1.0 if self.side == 1 else 1.0
         behind = _is_behind(outside * normal[self.owner][:, None], self.away).all(1)
         all_behind = reduced(behind.double(), self.owner, len(normal), "amin", 1.0) > 0.0
