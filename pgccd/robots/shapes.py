@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,15 +25,17 @@ class ThickSurface:
         vertices: (V, 3).
         faces: (F, 3) int64.
         thickness: length.
+        group: surfaces of a link with different groups are different bodies.
     """
 
     vertices: np.ndarray
     faces: np.ndarray
     thickness: float = 0.0
+    group: tuple[int, ...] = ()
 
     def placed(self, position: np.ndarray, orientation: np.ndarray) -> ThickSurface:
         """At a position (3,), turned by a unit quaternion (4,)."""
-        return ThickSurface(turned(orientation, self.vertices) + position, self.faces, self.thickness)
+        return replace(self, vertices=turned(orientation, self.vertices) + position)
 
 
 def box(size: np.ndarray) -> ThickSurface:
