@@ -50,8 +50,8 @@ class MuJoCo:
         for k in self.geoms.tolist():
             key = (int(model.geom_type[k]), model.geom_size[k].tobytes(), int(model.geom_dataid[k]))
             name = model.geom(k).name or f"{model.body(model.geom_bodyid[k]).name or 'body'}, geom {k}"
-            bodies.add(name, key, lambda k=k: surface_of_geom(mujoco, model, k, nameless))  # type: ignore[misc]
-        self.names = bodies.names
+            bodies.add(name, key, lambda k=k: surface_of_geom(mujoco, model, k, nameless), k)  # type: ignore[misc]
+        self.names, self._bodies, self._device = bodies.names, bodies, device
         owner = model.geom_bodyid[self.geoms]
         static = model.body_treeid[owner] < 0  # no degree of freedom moves it
         # MuJoCo asks whether one's contype has a bit in common with the other's conaffinity, or the other way round;
@@ -60,10 +60,12 @@ class MuJoCo:
             column[self.geoms].astype(np.int64) for column in (model.geom_contype, model.geom_conaffinity)
         )
         group, mask = kind | affinity << 32, affinity | kind << 32
-        columns = {"group": group, "mask": mask, "static": static}
+        columns = {"group": group, "mask": mask}
         self.scene = bodies.scene(
+            lambda: self._poses(mujoco.MjData(model)),
             device,
             self._never_tested(owner, static),
+            static,
             **{name: torch.from_numpy(column).to(device) for name, column in columns.items()},
         )
 
@@ -83,14 +85,20 @@ class MuJoCo:
 
     def frame(self, data: Any) -> tuple[Tensor, Tensor]:
         """Positions (N, 3) and orientations (N, 4) of the bodies now. Calls `mj_kinematics`, since `mj_step` leaves the
-        poses of geoms at the state before the step. Nothing is checked.
+        poses of geoms at the state before the step.
 
         Args:
             data: the `mujoco.MjData`.
+
+        Raises:
+            ValueError: a body is beside the square in place of an infinite plane, naming both.
         """
+        return self._bodies.checked(*self._poses(data))
+
+    def _poses(self, data: Any) -> tuple[Tensor, Tensor]:
         self._mujoco.mj_kinematics(self._model, data)
         owner = self._model.geom_bodyid[self.geoms]
         turns = (torch.from_numpy(q) for q in (data.xquat[owner], self._model.geom_quat[self.geoms]))
         orientation = torch.nn.functional.normalize(multiply(*turns), dim=1)
         position = torch.from_numpy(data.geom_xpos[self.geoms])
-        return position.to(self.scene.device), orientation.to(self.scene.device)
+        return position.to(self._device), orientation.to(self._device)
