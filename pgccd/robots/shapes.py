@@ -37,6 +37,10 @@ class ThickSurface:
         """At a position (3,), turned by a unit quaternion (4,)."""
         return replace(self, vertices=turned(orientation, self.vertices) + position)
 
+    def thickened(self, thickness: float) -> ThickSurface:
+        """By a length more."""
+        return replace(self, thickness=self.thickness + thickness)
+
     def scaled(self, scale: np.ndarray) -> ThickSurface:
         """With coordinates multiplied by factors (3,). Mirrored triangles keep their outside."""
         faces = self.faces[:, ::-1] if np.prod(np.sign(scale)) < 0.0 else self.faces

@@ -19,7 +19,8 @@ class Newton:
 
     Shapes of all worlds are tested against those of their world; for shapes that belong to no world there is a body in
     each. Not tested are shapes of one body, and the model's `shape_collision_filter_pairs`; collision groups are not
-    looked at. Shapes that belong to no body are static.
+    looked at. Shapes that belong to no body are static. Shapes are thickened by their `shape_margin`. Planes with a size
+    are rectangles, where Newton takes planes near others' bounding boxes as infinite.
 
     Args:
         model: a `newton.Model`.
@@ -41,20 +42,25 @@ class Newton:
         self._to_torch = warp.to_torch
         owner, world = model.shape_body.numpy(), model.shape_world.numpy()
         flags = model.shape_flags.numpy() & int(newton.ShapeFlags.COLLIDE_SHAPES)
-        columns = (model.shape_type.numpy(), model.shape_scale.numpy(), model.shape_transform.numpy())
+        columns = tuple(
+            column.numpy()
+            for column in (model.shape_type, model.shape_scale, model.shape_transform, model.shape_margin)
+        )
         worlds = np.unique(world[world >= 0]).tolist() or [0]
         rows = [(k, w) for w in worlds for k in np.flatnonzero(flags).tolist() if world[k] in (-1, w)]
         bodies = Bodies()
         for k, _ in rows:
-            kind, scale, transform = (column[k] for column in columns)
+            kind, scale, transform, margin = (column[k] for column in columns)
             source, placed = model.shape_source[k], transform.astype(np.float64)
-            key = (int(kind), scale.tobytes(), transform.tobytes(), id(source))
+            key = (int(kind), scale.tobytes(), transform.tobytes(), float(margin), id(source))
             bodies.add(
                 str(model.shape_label[k]),
                 key,
-                lambda kind=kind, scale=scale, source=source, placed=placed: _surface(  # type: ignore[misc]
-                    newton.GeoType(int(kind)).name, scale.astype(np.float64), source
-                ).placed(placed[:3], _wxyz(placed[3:])),
+                lambda kind=kind, scale=scale, source=source, placed=placed, margin=margin: (  # type: ignore[misc]
+                    _surface(newton.GeoType(int(kind)).name, scale.astype(np.float64), source)
+                    .placed(placed[:3], _wxyz(placed[3:]))
+                    .thickened(float(margin))
+                ),
                 int(owner[k]),
             )
         self.names, self._bodies = bodies.names, bodies

@@ -14,13 +14,17 @@ from pgccd.robots import shapes
 from pgccd.robots.shapes import ThickSurface
 from pgccd.simulators.bodies import Bodies
 
+# By which PyBullet thickens hulls. It tells that of a placed hull only if the user has changed it.
+_HULL = 1e-3
+
 
 class PyBullet:
     """The collision shapes of a PyBullet world, as the bodies of a scene.
 
     Shapes of one multibody are not tested against each other, as PyBullet does by default; its other filters are not
     looked at. Shapes of bases without mass and links are static. Meshes of files, which PyBullet replaces by their
-    hulls, are taken as they are. Hulls of points and files are thickened by the collision margin, as PyBullet does.
+    hulls, are taken as they are. Both, and hulls of points, are thickened by their collision margin, as PyBullet does:
+    by 0.001 at least.
 
     Args:
         client: number of the physics server, as `pybullet.connect` returns it.
@@ -61,7 +65,7 @@ class PyBullet:
                 found = pybullet.getCollisionShapeData(body, link, physicsClientId=client)
                 if not found and len(set(pybullet.getAABB(body, link, physicsClientId=client))) > 1:
                     raise ValueError(f"{name}: expected shapes that PyBullet tells, got one such as a height field")
-                thickness = pybullet.getDynamicsInfo(body, link, physicsClientId=client)[11] if found else 0.0
+                thickness = max(_HULL, pybullet.getDynamicsInfo(body, link, physicsClientId=client)[11])
                 for number, shape in enumerate(found):
                     # Hulls of points, as PyBullet makes of cylinders in URDF files, have no file.
                     is_hull = shape[2] == pybullet.GEOM_MESH and shape[4] in (b"", b"unknown_file")
@@ -70,8 +74,10 @@ class PyBullet:
                         points = pybullet.getMeshData(body, link, number, physicsClientId=client)[1]
                     bodies.add(
                         name,
-                        (*shape[2:], points),
-                        lambda shape=shape, points=points: _surface(pybullet, points, *shape[2:]),  # type: ignore[misc]
+                        (*shape[2:], points, thickness),
+                        lambda shape=shape, points=points, thickness=thickness: _surface(  # type: ignore[misc]
+                            pybullet, points, thickness, *shape[2:]
+                        ),
                         (body, link),
                     )
                     self.links.append((body, link))
@@ -106,6 +112,7 @@ class PyBullet:
 def _surface(
     bullet: Any,
     points: Any,
+    thickness: float,
     kind: int,
     size: tuple[float, ...],
     file: bytes,
@@ -124,10 +131,10 @@ def _surface(
     elif kind == bullet.GEOM_PLANE:
         made = shapes.infinite_plane(np.array(size) / np.linalg.norm(size))
     elif points:
-        return _hull(np.array(points))  # placed already
+        return _hull(np.array(points)).thickened(thickness)  # placed already
     elif kind == bullet.GEOM_MESH and points is None:
         mesh = Mesh.load(file.decode())
-        made = ThickSurface(mesh.vertices.numpy(), mesh.faces.long().numpy()).scaled(np.array(size))
+        made = ThickSurface(mesh.vertices.numpy(), mesh.faces.long().numpy(), thickness).scaled(np.array(size))
     else:
         raise ValueError(f"expected a box, sphere, capsule, cylinder, plane or mesh file, got PyBullet's kind {kind}")
     q = np.array(turn)[[3, 0, 1, 2]]
