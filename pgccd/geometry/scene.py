@@ -63,18 +63,14 @@ class _Derived:
             return alike and torch.equal(self.seen, column)
         return self.column is column and self.seen == _version(column) is not None
 
+    def is_still(self, column: Tensor) -> bool:
+        """As `is_of`, but writes to tensors made in inference mode, which torch does not count, are not seen."""
+        return self.is_of(column) or (self.column is column and column.is_inference() and column.device.type != "cpu")
+
 
 def _version(column: Tensor) -> int | None:
     """Counter of in-place writes to the column; None where torch does not track it."""
     return None if torch.compiler.is_compiling() or column.is_inference() else column._version
-
-
-def _tracked(column: Tensor | None) -> Tensor | None:
-    """The column, or a copy of it whose writes torch counts, which it does not for tensors made in inference mode."""
-    if column is None or torch.compiler.is_compiling() or not column.is_inference():
-        return column
-    with torch.inference_mode(False):
-        return column.clone()
 
 
 @dataclass(frozen=True)
@@ -254,7 +250,6 @@ class Scene:
 
     def _remember(self) -> None:
         self._validated_index = _Derived(self.mesh_index, None)
-        self.self_collision, self.exclude = _tracked(self.self_collision), _tracked(self.exclude)
         self._fixed = None if self.self_collision is None else _Derived(self.self_collision, None)
         self._fixed_exclude = None if self.exclude is None else _Derived(self.exclude, None)
 
@@ -375,7 +370,7 @@ class Scene:
             given = getattr(self, name)
             if fixed is None and given is None:
                 continue
-            if fixed is None or not isinstance(given, Tensor) or not fixed.is_of(given):
+            if fixed is None or not isinstance(given, Tensor) or not fixed.is_still(given):
                 raise ValueError(f"{name}: it is fixed, but was written or replaced: make a new Scene")
 
     def __getitem__(self, rows: Tensor | slice | Sequence[int]) -> Scene:

@@ -26,12 +26,14 @@ class ThickSurface:
         faces: (F, 3) int64.
         thickness: length.
         infinite: whether it is a square in place of an infinite plane, which is to be `widened`.
+        group: surfaces of a link with different groups are different bodies.
     """
 
     vertices: np.ndarray
     faces: np.ndarray
     thickness: float = 0.0
     infinite: bool = False
+    group: tuple[int, ...] = ()
 
     def placed(self, position: np.ndarray, orientation: np.ndarray) -> ThickSurface:
         """At a position (3,), turned by a unit quaternion (4,)."""

@@ -145,7 +145,7 @@ def test_a_shorter_search_of_one_pair_leaves_the_others_alone(device: torch.devi
     assert int(((expected.toi > 0.01) & (expected.toi < 0.05)).sum()) > 20
     capacity = sizes_of(pgccd.detect(scene, motion, "first", initial="assume_free").stats.needed).times(2.0)
     for crowded in (False, True):
-        given = replace(capacity, crowded=crowded, poses=100_000, candidates=1 << 21, leaf_pairs=1 << 20, open=1 << 21)
+        given = replace(capacity, crowded=crowded, poses=100_000, candidates=1 << 23, leaf_pairs=1 << 22, open=1 << 22)
         found = pgccd.detect(scene, motion, "first", initial="assume_free", capacity=given).trim()
         assert difference(columns_of(found), columns_of(expected)) is None
 

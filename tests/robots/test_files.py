@@ -75,7 +75,7 @@ def test_planes_height_fields_and_meshes(tmp_path: Path) -> None:
     assets = '<hfield name="h" nrow="2" ncol="3" size="1 2 0.5 0.1" elevation="0 0 0 1 1 1"/>'
     field = mjcf(tmp_path, '<geom type="hfield" hfield="h"/>' + SLIDER.format(ball), assets=assets)
     corners = field.meshes[0].vertices + field.meshes[0].origin
-    assert corners.min(dim=0).values.tolist() == [-1.0, -2.0, 0.0]
+    assert corners.min(dim=0).values.tolist() == [-1.0, -2.0, -0.1]
     assert corners.max(dim=0).values.tolist() == [1.0, 2.0, 0.5]
     tetra = "0 0 0  1 0 0  0 1 0  0 0 1"
     mesh = mjcf(tmp_path, SLIDER.format('<geom type="mesh" mesh="m"/>'), assets=f'<mesh name="m" vertex="{tetra}"/>')

@@ -53,7 +53,6 @@ class Tally:
 
     def check(self, kinds: set[str], at_least: int) -> None:
         """All agree, and there were enough of each kind, both touching and apart."""
-        print({kind: (self.touching[kind], self.apart[kind]) for kind in sorted(kinds)})
         assert self.wrong == []
         for kind in kinds:
             assert min(self.touching[kind], self.apart[kind]) >= at_least, (kind, self.touching, self.apart)
