@@ -115,10 +115,9 @@ class Bodies:
             leaves = ~(lateral + self._reach <= self._half) & ~(self._static & self._static[row])
             if bool(leaves.any()):
                 body = int(leaves.long().argmax())
-                raise ValueError(
-                    f"position: {self.names[body]!r} is {float(lateral[body]):.3g} beside the place of the infinite plane "
-                    f"{self.names[row]!r}, which reaches {self._half:g}: make the scene anew"
-                )
+                expected = f"bodies within {self._half:g} of the place of the infinite plane {self.names[row]!r}"
+                got = f"{self.names[body]!r} at {float(lateral[body]):.3g}"
+                raise ValueError(f"position: expected {expected}, got {got}: make the scene of this frame")
         return position, orientation
 
 

@@ -18,8 +18,9 @@ class MuJoCo:
     """The geoms of a MuJoCo model that may collide, as the bodies of a scene.
 
     Not tested are the pairs that MuJoCo does not test: by contype and conaffinity, of one body, of bodies that are
-    rigidly joined, of parent and child (unless the model disables that filter), and those of elements `exclude`.
-    Elements `pair` are not looked at. Geoms that no degree of freedom moves are static, those of mocap bodies too.
+    rigidly joined, of parent and child (unless the model disables that filter), and those of elements `exclude`; all
+    that elements `pair` name are tested. Planes are infinite, whatever their size. Geoms that no degree of freedom
+    moves are static, those of mocap bodies too.
 
     Args:
         model: a `mujoco.MjModel`.
@@ -45,7 +46,9 @@ class MuJoCo:
         import mujoco
 
         self._mujoco, self._model = mujoco, model
-        self.geoms = np.flatnonzero(model.geom_contype | model.geom_conaffinity)
+        collides = (model.geom_contype | model.geom_conaffinity) != 0
+        collides[np.concatenate([model.pair_geom1, model.pair_geom2])] = True
+        self.geoms = np.flatnonzero(collides)
         bodies, nameless = Bodies(), Path("model")
         for k in self.geoms.tolist():
             key = (int(model.geom_type[k]), model.geom_size[k].tobytes(), int(model.geom_dataid[k]))
@@ -54,13 +57,14 @@ class MuJoCo:
         self.names, self._bodies, self._device = bodies.names, bodies, device
         owner = model.geom_bodyid[self.geoms]
         static = model.body_treeid[owner] < 0  # no degree of freedom moves it
-        # MuJoCo asks whether one's contype has a bit in common with the other's conaffinity, or the other way round;
-        # a scene, whether both do.
-        kind, affinity = (
-            column[self.geoms].astype(np.int64) for column in (model.geom_contype, model.geom_conaffinity)
-        )
-        group, mask = kind | affinity << 32, affinity | kind << 32
-        columns = {"group": group, "mask": mask}
+        columns = {}
+        if model.npair == 0:
+            # MuJoCo asks whether one's contype has a bit in common with the other's conaffinity, or the other way
+            # round; a scene, whether both do.
+            kind, affinity = (
+                column[self.geoms].astype(np.int64) for column in (model.geom_contype, model.geom_conaffinity)
+            )
+            columns = {"group": kind | affinity << 32, "mask": affinity | kind << 32}
         self.scene = bodies.scene(
             lambda: self._poses(mujoco.MjData(model)),
             device,
@@ -70,7 +74,9 @@ class MuJoCo:
         )
 
     def _never_tested(self, owner: np.ndarray, static: np.ndarray) -> np.ndarray:
-        """(E, 2): pairs that MuJoCo leaves out by their bodies (N,), besides static ones."""
+        """(E, 2): pairs that MuJoCo leaves out by their bodies (N,), besides static ones; if there are elements `pair`,
+        by contype and conaffinity too.
+        """
         model = self._model
         i, j = np.triu_indices(len(owner), 1)
         low, high = np.minimum(owner[i], owner[j]), np.maximum(owner[i], owner[j])
@@ -80,6 +86,12 @@ class MuJoCo:
             above = model.body_weldid[model.body_parentid[weld]]
             related = (weld[i] == above[j]) | (weld[j] == above[i])
             never |= related & (weld[i] != 0) & (weld[j] != 0)
+        if model.npair > 0:
+            one, other = self.geoms[i], self.geoms[j]
+            kind, affinity = model.geom_contype, model.geom_conaffinity
+            never |= (kind[one] & affinity[other] | kind[other] & affinity[one]) == 0
+            named = np.sort(np.stack([model.pair_geom1, model.pair_geom2]), axis=0).astype(np.int64)
+            never &= ~np.isin(one * model.ngeom + other, named[0] * model.ngeom + named[1])
         never &= ~(static[i] & static[j])
         return np.stack([i[never], j[never]], axis=1)
 

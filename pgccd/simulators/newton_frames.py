@@ -19,8 +19,8 @@ class Newton:
 
     Shapes of all worlds are tested against those of their world; for shapes that belong to no world there is a body in
     each. Not tested are shapes of one body, and the model's `shape_collision_filter_pairs`; collision groups are not
-    looked at. Shapes that belong to no body are static. Shapes are thickened by their `shape_margin`. Planes with a size
-    are rectangles, where Newton takes planes near others' bounding boxes as infinite.
+    looked at. Shapes that belong to no body are static. Shapes are thickened by their `shape_margin`. Planes with width
+    and length are rectangles; Newton lets other shapes touch such a plane a little beside it too.
 
     Args:
         model: a `newton.Model`.
