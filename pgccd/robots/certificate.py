@@ -23,7 +23,8 @@ class Verdict(IntEnum):
             surfaces touch.
         START: a pair touches at the first waypoint.
         INVALID: the value of a joint is not finite or larger than 1e6, a link turns by more than 1e4 radians between
-            two waypoints (all joints added), or the pose of an obstacle is invalid.
+            two waypoints (all joints added), the pose of an obstacle is invalid, or the robot may leave the square in
+            place of an infinite plane of its file.
     """
 
     FREE = 0

@@ -24,7 +24,9 @@ def load_mjcf(path: str | PathLike[str]) -> Robot:
 
     Boxes and meshes are taken as they are (MuJoCo itself takes the convex hulls of meshes). Cylinders and ellipsoids
     are polyhedra around them, at most 0.13 % and 0.8 % larger; spheres are exact to 1e-9 of their radius, capsules to
-    rounding; height fields are open surfaces; planes without a size are 2,000 length units wide.
+    rounding; height fields are solids with their base. Planes are infinite, whatever their size: in their place are
+    squares of twice the robot's reach and distance at least, and a configuration in which the robot may leave them is
+    invalid.
 
     Tested are the pairs of geoms of different bodies that MuJoCo tests: not those of bodies that are rigidly joined;
     nor of a body and its parent, both with all that is rigidly joined to them, unless that is the world or the flag
@@ -214,7 +216,7 @@ def surface_of_geom(mujoco: Any, model: Any, k: int, path: Path) -> ThickSurface
     if kind == kinds.mjGEOM_ELLIPSOID:
         return shapes.ellipsoid(size)
     if kind == kinds.mjGEOM_PLANE:
-        return shapes.plane(float(size[0]), float(size[1]))
+        return shapes.infinite_plane()  # its size is that of its picture
     if kind == kinds.mjGEOM_MESH:
         vertex, face = int(model.mesh_vertadr[data]), int(model.mesh_faceadr[data])
         vertices = model.mesh_vert[vertex : vertex + int(model.mesh_vertnum[data])].astype(np.float64)
@@ -222,9 +224,9 @@ def surface_of_geom(mujoco: Any, model: Any, k: int, path: Path) -> ThickSurface
         return ThickSurface(vertices, faces)
     if kind == kinds.mjGEOM_HFIELD:
         rows, columns = int(model.hfield_nrow[data]), int(model.hfield_ncol[data])
-        begin, (x, y, height, _) = int(model.hfield_adr[data]), model.hfield_size[data].tolist()
+        begin, (x, y, height, base) = int(model.hfield_adr[data]), model.hfield_size[data].tolist()
         heights = model.hfield_data[begin : begin + rows * columns].reshape(rows, columns).astype(np.float64)
-        return shapes.height_field(heights * height, x, y)
+        return shapes.height_field(heights * height, x, y, base)
     name = model.geom(k).name or f"number {k}"
     raise ValueError(f"path: {path}: geom {name!r}: expected a shape of known surface, got {kind.name[7:].lower()}")
 

@@ -21,9 +21,9 @@ from pgccd.geometry.mesh import Mesh
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion
 from pgccd.motion.trajectory import Trajectory
-from pgccd.robots.kinematics import Poses, Tree
+from pgccd.robots.kinematics import Joint, Poses, Tree
 from pgccd.robots.obstacles import Obstacles
-from pgccd.robots.shapes import ThickSurface, joined
+from pgccd.robots.shapes import PLANE, ThickSurface, joined
 from pgccd.robots.stray import MOST_TURN, Chains, pose_error, stray_bound, turns
 
 if TYPE_CHECKING:
@@ -42,7 +42,8 @@ class Robot:
     `load_urdf` and `load_mjcf`.
 
     A link is one body, whose mesh has its origin at the link's joint; one with spheres or capsules of several radii is
-    one body a radius, since the radius is the body's margin. Links without collision surfaces have no body.
+    one body a radius, since the radius is the body's margin. Links without collision surfaces have no body. Infinite
+    planes are bodies of their own: squares that no part of the robot can leave within the limits.
 
     Attributes:
         name: of the robot, as in the file.
@@ -60,7 +61,7 @@ class Robot:
             file excludes the pair), "sampled" (`excluding_sampled`), "asked" (`excluding`). Where that holds for some
             of the bodies only, the reason ends in ", in part".
         reach: length: no point of the robot is further from its base, in any configuration within the limits; of
-            prismatic joints without limits within 1 length unit of 0.
+            prismatic joints without limits within 1 length unit of 0. Without infinite planes.
 
     Example:
         >>> robot = pgccd.robots.load_urdf("arm.urdf")
@@ -89,10 +90,20 @@ class Robot:
         self.lower, self.upper = torch.tensor(limits, dtype=torch.float64).reshape(-1, 2).unbind(1)
         self.link_names = [link for link, _, _ in links]
         self._tree = tree
+        lengths = {frame: self._length(tree.chains[frame]) for _, frame, _ in links}
+        all_surfaces = [(lengths[frame], surface) for _, frame, surfaces in links for surface in surfaces]
+        self.reach = max((length + each.reach for length, each in all_surfaces if not each.infinite), default=PLANE)
+        away = [length + float(np.linalg.norm(each.centre)) for length, each in all_surfaces if each.infinite]
+        # Half the side of the squares in place of infinite planes, and by how much all joints together may slide before
+        # a body may be beside one.
+        slides = sum(self._slide(joint) for joint in tree.joints)
+        half = max(PLANE, 2.0 * (self.reach + slides + max(away, default=0.0)))
+        self._room = half - self.reach - max(away) if away else np.inf
         meshes, owners, frames, margins, groups = [], [], [], [], []
         for number, (link, frame, surfaces) in enumerate(links):
-            for thickness, group in sorted({(surface.thickness, surface.group) for surface in surfaces}):
-                surface = joined([each for each in surfaces if (each.thickness, each.group) == (thickness, group)])
+            for kind in sorted({(each.infinite, each.thickness, each.group) for each in surfaces}):
+                alike = [each for each in surfaces if (each.infinite, each.thickness, each.group) == kind]
+                surface = joined([each.widened(half) if each.infinite else each for each in alike])
                 try:
                     mesh = Mesh(surface.vertices, surface.faces)
                 except ValueError as error:
@@ -101,8 +112,8 @@ class Robot:
                 meshes.append(mesh)
                 owners.append(number)
                 frames.append(frame)
-                margins.append(thickness)
-                groups.append(group)
+                margins.append(kind[1])
+                groups.append(kind[2])
         if not meshes:
             raise ValueError(f"robot {name!r} has no collision surfaces")
         self.meshes = meshes
@@ -119,10 +130,6 @@ class Robot:
             reason = why_untested(owners[i], groups[i], owners[j], groups[j]) if moves[i] or moves[j] else "both fixed"
             if owners[i] == owners[j] or reason is not None:
                 self._why_untested[i, j] = reason or ""
-        self.reach = max(
-            self._length(chain) + mesh.reach + thickness
-            for chain, mesh, thickness in zip(chains, meshes, margins, strict=True)
-        )
 
     @property
     def joint_count(self) -> int:
@@ -135,14 +142,22 @@ class Robot:
         return len(self.meshes)
 
     def _length(self, chain: Sequence[int]) -> float:
-        length = 0.0
-        for k in chain[1:]:
-            joint = self._tree.joints[k]
-            length += self._tree.distances[k]
+        return sum(self._tree.distances[k] + self._slide(self._tree.joints[k]) for k in chain[1:])
+
+    def _slide(self, joint: Joint) -> float:
+        """How far a prismatic joint slides at most; zero for others."""
+        if joint.kind != "prismatic":
+            return 0.0
+        ends = (float(self.lower[joint.coordinate]), float(self.upper[joint.coordinate]))
+        return max(abs(joint.scale * (q if np.isfinite(q) else 1.0) + joint.offset) for q in ends)
+
+    def _may_leave(self, q: Tensor) -> Tensor:
+        """(...): whether in configurations (..., J) a body may be beside the square in place of an infinite plane."""
+        slides = torch.zeros_like(q[..., :1].sum(dim=-1))
+        for joint in self._tree.joints:
             if joint.kind == "prismatic":
-                ends = (float(self.lower[joint.coordinate]), float(self.upper[joint.coordinate]))
-                length += max(abs(joint.scale * (q if np.isfinite(q) else 1.0) + joint.offset) for q in ends)
-        return length
+                slides = slides + (joint.scale * q[..., joint.coordinate] + joint.offset).abs()
+        return slides > self._room
 
     @property
     def exclude(self) -> Tensor:
@@ -253,7 +268,8 @@ class Robot:
 
         Returns:
             Positions (..., N, 3) and orientations (..., N, 4), unit quaternions (w, x, y, z), body to world; nan where
-            the value of a joint is not finite or larger than 1e6. If q requires grad, then so do they; a
+            the value of a joint is not finite or larger than 1e6, or the robot may leave the square in place of an
+            infinite plane. If q requires grad, then so do they; a
             `pgccd.Trajectory` of them has contacts with gradients.
 
         Raises:
@@ -266,6 +282,8 @@ class Robot:
         found = self._tree.forward(q.reshape(math.prod(q.shape[:-1]), self.joint_count))
         shape = (*q.shape[:-1], self.body_count)
         x, r = self._of_bodies(found)
+        if np.isfinite(self._room):
+            x = torch.where(self._may_leave(q).reshape(-1, 1, 1), torch.nan, x)
         return x.reshape(*shape, 3), r.reshape(*shape, 4)
 
     def _of_bodies(self, poses: Poses) -> tuple[Tensor, Tensor]:
@@ -325,7 +343,8 @@ class Robot:
 
         Raises:
             TypeError, ValueError: q has another type or shape or requires grad, or a joint has a value larger than 1e6;
-                or links turn by more than a radian between two waypoints, the turns of all joints added.
+                or the robot may leave the square in place of an infinite plane; or links turn by more than a radian
+                between two waypoints, the turns of all joints added.
 
         Example:
             >>> path = robot.trajectory(torch.linspace(0, 1, 20)[:, None].expand(20, robot.joint_count))
@@ -338,6 +357,11 @@ class Robot:
         if not bool((largest <= LARGEST_VALUE).all()):
             waypoint = int((~(largest <= LARGEST_VALUE)).long().argmax())
             expected = f"joint values of at most {LARGEST_VALUE:g}"
+            raise ValueError(f"q: waypoint {waypoint}: expected {expected}, got {q[waypoint].tolist()}")
+        leaves = self._may_leave(q)
+        if bool(leaves.any()):
+            waypoint = int(leaves.long().argmax())
+            expected = f"joints that slide by at most {self._room:g}, added, since the robot has an infinite plane"
             raise ValueError(f"q: waypoint {waypoint}: expected {expected}, got {q[waypoint].tolist()}")
         turn = turns(self._chains_on(q.device), q[1:] - q[:-1])
         if not bool((turn <= MOST_TURN).all()):
