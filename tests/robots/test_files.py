@@ -69,6 +69,7 @@ def test_planes_height_fields_and_meshes(tmp_path: Path) -> None:
     ball = '<geom type="sphere" size="0.2"/>'
     floor = mjcf(tmp_path, '<geom type="plane" size="0 0 1" pos="0 0 0.5"/>' + SLIDER.format(ball))
     assert floor.link_names == ["world", "s"] and floor.moves.tolist() == [False, True]
+    assert floor.reach == pytest.approx(5.0 + 1.0 + 0.2, rel=1e-6)  # without limits it slides by 1
     found = floor.certify(torch.tensor([[[0.0], [5.0]], [[0.0], [4.0]]]))
     assert found.free.tolist() == [False, True] and found.names(0) == ("world", "s")
     assert abs(float(found.time[0]) - 4.3 / 5.0) < 1e-3 * floor.reach
