@@ -211,7 +211,7 @@ def test_mujoco_and_mjcf(tmp_path: Path, models: int, at_least: int) -> None:
 
 @pytest.mark.parametrize(("elevation", "height", "touches"), [("1 0 0 1", 0.5, False), ("0 1 1 0", 0.9, True)])
 def test_cells_of_height_fields_are_folded_as_in_mujoco(elevation: str, height: float, touches: bool) -> None:
-    """A ball above the middle of a cell, in a valley or on a ridge between two corners (files begin with the last row)."""
+    """A ball above a cell, in a valley or on a ridge between two corners; files begin with the last row."""
     mujoco = pytest.importorskip("mujoco")
     model = mujoco.MjModel.from_xml_string(
         f"""<mujoco><asset><hfield name="f" nrow="2" ncol="2" size="1 1 1 0.1" elevation="{elevation}"/></asset>
