@@ -209,6 +209,21 @@ def test_mujoco_and_mjcf(tmp_path: Path, models: int, at_least: int) -> None:
         tally.check({*MUJOCO_KINDS, "plane", "hfield"}, at_least)
 
 
+@pytest.mark.parametrize(("elevation", "height", "touches"), [("1 0 0 1", 0.5, False), ("0 1 1 0", 0.9, True)])
+def test_cells_of_height_fields_are_folded_as_in_mujoco(elevation: str, height: float, touches: bool) -> None:
+    """A ball above a cell, in a valley or on a ridge between two corners; files begin with the last row."""
+    mujoco = pytest.importorskip("mujoco")
+    model = mujoco.MjModel.from_xml_string(
+        f"""<mujoco><asset><hfield name="f" nrow="2" ncol="2" size="1 1 1 0.1" elevation="{elevation}"/></asset>
+        <worldbody><geom type="hfield" hfield="f"/>
+        <body pos="0 0 {height}"><freejoint/><geom size="0.2"/></body></worldbody></mujoco>"""
+    )
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    simulator = pgccd.simulators.MuJoCo(model)
+    assert bool(data.ncon) == touches == bool(touching(simulator.scene, *simulator.frame(data)))
+
+
 BULLET_KINDS = ("box", "sphere", "capsule", "cylinder", "points", "points", "file", "file", "plane")
 
 
