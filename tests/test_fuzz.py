@@ -23,7 +23,7 @@ SEED = 53
 
 
 def test_every_call_gives_the_same_bits(device: torch.device, capsys: pytest.CaptureFixture[str]) -> None:
-    assert fuzz.main(["--scenes", "5", "--seed", "11", "--device", device.type]) == 0, capsys.readouterr().out
+    assert fuzz.main(["--scenes", "4", "--seed", "12", "--device", device.type]) == 0, capsys.readouterr().out
 
 
 @pytest.mark.slow
@@ -76,6 +76,7 @@ def test_one_bit_is_seen(column: str, monkeypatch: pytest.MonkeyPatch, capsys: p
         return found
 
     monkeypatch.setattr(pipeline, "stream", inexact)
+    monkeypatch.setattr(watched, "CALLS", {})  # the ways to detect suffice
     assert fuzz.main(["--only", str(SEED)]) == 1
     said = capsys.readouterr().out
     assert f"{column}: 1 of" in said and "chunks of 1 bytes, cpu" in said and f"--only {SEED}" in said
