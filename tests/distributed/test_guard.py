@@ -168,7 +168,7 @@ def test_a_message_that_does_not_arrive_although_all_ranks_have_sent_it(ranks: R
             pass
     begin = time.monotonic()
     asking = ranks.guards[0]
-    with asking.waiting("step", for_gpu=True):
+    with asking.waiting("step"):
         asking._channel.send(about="error", is_late=False, exchange=1)
         wait_for(asking._answered.is_set)
         assert asking._none_behind == (-1, 0)  # that question was not about the time
