@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import TypeVar
 
+from pgccd.distributed.guard import terminate
 from pgccd.distributed.guard.channel import Channel
 from pgccd.distributed.guard.hub import Hub
 from pgccd.distributed.guard.turns import TurnClock
@@ -116,6 +117,7 @@ class Guard:
         if channel is not None:
             self._thread = threading.Thread(target=self._watch, name="pgccd-guard", daemon=True)
             self._thread.start()
+            terminate.catch_errors_of_threads()
             # Closes the guard at exit, if the caller does not.
             atexit.register(self._leave)
 
@@ -202,7 +204,7 @@ class Guard:
 
     def require_no_verdict(self) -> None:
         """Called from time to time while waiting for a message. Raises RuntimeError if the wait cannot end."""
-        if self._verdict is not None and self._is_final or self._ended_hub is not None:
+        if self._verdict is not None and self._is_final:
             self._ends_hard = True  # the library's shutdown would wait for the message, too
             raise RuntimeError("a message has not arrived")
 
@@ -239,7 +241,7 @@ class Guard:
         self.close()
         if self.hub is not None:
             self.hub.repeat_verdict()
-        if self._ends_hard:
+        if self._ends_hard or terminate.is_stopped.is_set():
             sys.stdout.flush()
             sys.stderr.flush()
             os._exit(_EXIT_CODE)
@@ -401,6 +403,8 @@ class Guard:
     def _decide(self, verdict: str, is_final: bool = True) -> None:
         if self._verdict is None:
             self._verdict, self._is_final = verdict, is_final
+            if is_final:
+                terminate.has_verdict.set()
         self._answered.set()
         self._noted.set()
 
