@@ -64,31 +64,30 @@ class GroupObjects(Objects):
 
     def __init__(self, group: dist.ProcessGroup, guard: Guard) -> None:
         self._group, self._guard = group, guard
-        self._later = dist.get_backend(group) == "gloo"
+        self._how: dict[str, Any] = {"group": group, "async_op": dist.get_backend(group) == "gloo"}
         self._device = torch.device("cuda" if dist.get_backend(group) == "nccl" else "cpu")
 
     def gather(self, value: Any) -> list[Any]:
         own = encode(value).to(self._device)
         sizes = own.new_zeros(dist.get_world_size(self._group), dtype=torch.int64)
-        size, later = own.new_full((1,), len(own), dtype=torch.int64), {"group": self._group, "async_op": self._later}
-        finish(dist.all_gather(list(sizes.split(1)), size, **later), self._guard)
+        size = own.new_full((1,), len(own), dtype=torch.int64)
+        finish(dist.all_gather(list(sizes.split(1)), size, **self._how), self._guard)
         announced = require_sizes(sizes)
         padded = pad(own, (0, max(announced) - len(own)))
         if dist.get_rank(self._group) != 0:
-            finish(dist.gather(padded, group_dst=0, **later), self._guard)
+            finish(dist.gather(padded, group_dst=0, **self._how), self._guard)
             return []
         gathered = [torch.empty_like(padded) for _ in announced]
-        finish(dist.gather(padded, gathered, group_dst=0, **later), self._guard)
+        finish(dist.gather(padded, gathered, group_dst=0, **self._how), self._guard)
         return [decode(each[:size]) for each, size in zip(gathered, announced, strict=True)]
 
     def broadcast(self, value: Any) -> Any:
         is_first = dist.get_rank(self._group) == 0
         own = encode(value if is_first else None).to(self._device)
         size = own.new_full((1,), len(own), dtype=torch.int64)
-        later = {"group": self._group, "async_op": self._later}
-        finish(dist.broadcast(size, group_src=0, **later), self._guard)
+        finish(dist.broadcast(size, group_src=0, **self._how), self._guard)
         message = own if is_first else own.new_empty(require_sizes(size))
-        finish(dist.broadcast(message, group_src=0, **later), self._guard)
+        finish(dist.broadcast(message, group_src=0, **self._how), self._guard)
         return decode(message)
 
 

@@ -177,8 +177,8 @@ class Guard:
         self._thread_here.is_calling = False
 
     def fail_call(self, error: Exception) -> None:
-        """Before `end_call`, if the call raises an error. Raises `RankFailureError` if ranks call different things, since
-        the error may follow from it.
+        """Before `end_call`, if the call raises an error. Raises `RankFailureError` if ranks call different things, from
+        which the error may follow.
         """
         if self._channel is None or isinstance(error, RankFailureError):
             return

@@ -121,7 +121,9 @@ class Hub:
             self._verdict is not None and self._ranks and time.monotonic() < self._deadline
         ):
             noted, self._to_note = self._to_note, []
-            for key, _ in self._selector.select(0.0 if noted else 0.1 if self._closing.is_set() else 0.2 * _TICK_SECONDS):
+            for key, _ in self._selector.select(
+                0.0 if noted else 0.1 if self._closing.is_set() else 0.2 * _TICK_SECONDS
+            ):
                 if key.fileobj is self._listener:
                     self._accept()
                 else:
@@ -265,7 +267,9 @@ class Hub:
                 errors = [texts[rank] for texts in self._failed_calls.values() if rank in texts]
                 why = f": it failed in {errors[-1]}" if errors else ""
                 theirs = f"{self._members[first].name} calls {name} (call {number})"
-                self._blame(f"rank {rank} has ended early{why}, after {member.calls} calls, where {theirs}", is_final=True)
+                self._blame(
+                    f"rank {rank} has ended early{why}, after {member.calls} calls, where {theirs}", is_final=True
+                )
 
     def _note_failed(self, rank: int, number: int, text: str) -> None:
         """A call has failed on a rank, perhaps not on all: those that wait in it must not do so for ever."""

@@ -1,5 +1,5 @@
-"""Errors in threads of Gloo, which end the process: it gets a message that is longer than the one it expects, if another
-rank calls something else. The thread is stopped until the hub has compared the calls, so that all ranks raise the error.
+"""Errors in threads of Gloo, which would abort the process: a message is longer than expected, because another rank
+calls something else. The thread is stopped until the hub has compared the calls, so that all ranks raise its verdict.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ has_verdict = threading.Event()
 #: Whether a thread is stopped, so that a regular shutdown would wait for it.
 is_stopped = threading.Event()
 _lock = threading.Lock()
-_former: list[ctypes._FuncPointer] = []  # type: ignore[name-defined]
+_former: list[ctypes._FuncPointer] = []
 
 
 def catch_errors_of_threads() -> None:
