@@ -619,3 +619,22 @@ def test_the_verdict_is_printed_last(ranks: Ranks, exits: list[int], capsys: pyt
     sys.stderr.write("a traceback\n")
     ranks.guards[0]._leave()
     assert capsys.readouterr().err.splitlines()[-2:] == ["a traceback", "pgccd: rank 1 (process 1) has died"]
+
+
+def test_two_threads_cannot_call_at_the_same_time(ranks: Ranks, exits: list[int]) -> None:
+    first = ranks.guards[0]
+    first.begin_call("turn")
+    problems: list[str] = []
+
+    def call() -> None:
+        try:
+            first.begin_call("next")
+        except RuntimeError as error:
+            problems.append(str(error))
+
+    for _ in range(2):
+        thread = threading.Thread(target=call)
+        thread.start()
+        thread.join()
+        first.end_call()
+    assert problems == ["next: another thread of rank 0 is in such a call"] and first._calls == 2

@@ -24,9 +24,7 @@ def collective(method: Callable[P, R], name: str = "") -> Callable[P, R]:
 
     @functools.wraps(method)
     def call(*args: P.args, **named: P.kwargs) -> R:
-        given: tuple[Any, ...] = (named.get("comm"), *args[:2])  # a class method's first argument is the class
-        guards = (getattr(getattr(of, "comm", of), "guard", None) for of in given)
-        guard = next((guard for guard in guards if isinstance(guard, Guard)), None)
+        guard = _guard_of(args, named)
         if guard is None or not guard.begin_call(name):
             return method(*args, **named)
         try:
@@ -38,3 +36,12 @@ def collective(method: Callable[P, R], name: str = "") -> Callable[P, R]:
             guard.end_call()
 
     return call
+
+
+def _guard_of(args: tuple[Any, ...], named: dict[str, Any]) -> Guard | None:
+    """That of the method's object, or of the `Comm` among the arguments; the first one may be the class."""
+    for of in (*args[:2], named.get("comm")):
+        guard = getattr(of, "guard", None) or getattr(getattr(of, "comm", None), "guard", None)
+        if isinstance(guard, Guard):
+            return guard
+    return None

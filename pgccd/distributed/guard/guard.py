@@ -53,10 +53,6 @@ def is_of_all_ranks(error: BaseException | None) -> bool:
     return False
 
 
-class _Thread(threading.local):
-    is_calling = False  # is in a public call
-
-
 class Guard:
     """Watches the exchanges of this rank, and ends the process if they cannot complete.
 
@@ -80,9 +76,9 @@ class Guard:
         self.hub = hub
         self._lock = threading.Lock()
         self._exchanges, self._is_waiting, self._may_last = 0, False, False
-        # Public calls of this rank; whether the last one failed here, perhaps not on all ranks; and the failed calls of
-        # other ranks, by number.
-        self._calls, self._calls_lock, self._thread_here = 0, threading.Lock(), _Thread()
+        # Public calls of this rank, and the thread that is in one; whether the last one failed here, perhaps not on all
+        # ranks; and the failed calls of other ranks, by number.
+        self._calls, self._caller, self._calls_lock = 0, 0, threading.Lock()
         self._has_failed_call, self._failed_calls = False, set[int]()
         self._noted, self._settled = threading.Event(), threading.Event()
         self._clock = TurnClock()
@@ -159,22 +155,24 @@ class Guard:
 
         Raises:
             RankFailureError: there is a verdict.
+            RuntimeError: another thread is in a call, so that ranks may make them in different orders.
         """
-        if self._channel is None or self._thread_here.is_calling:
+        if self._channel is None or self._caller == threading.get_ident():
             return False
         if self._has_failed_call:
             self._settle(name)
         if self._verdict is not None and self._is_final:
             raise RankFailureError(f"{self._verdict} (rank {self._rank} was about to call {name})")
-        with self._calls_lock:  # in the order of the numbers
-            self._calls += 1
-            self._channel.send(about="call", number=self._calls, name=name)
-        self._thread_here.is_calling = True
+        with self._calls_lock:
+            if self._caller:
+                raise RuntimeError(f"{name}: another thread of rank {self._rank} is in such a call")
+            self._caller, self._calls = threading.get_ident(), self._calls + 1
+        self._channel.send(about="call", number=self._calls, name=name)
         return True
 
     def end_call(self) -> None:
         """After `begin_call` returned True."""
-        self._thread_here.is_calling = False
+        self._caller = 0
 
     def fail_call(self, error: Exception) -> None:
         """Before `end_call`, if the call raises an error. Raises `RankFailureError` if ranks call different things, from

@@ -264,12 +264,13 @@ class Hub:
         first, name, _ = self._calls[number]
         for rank, member in self._members.items():
             if member.finished and member.calls < number:
-                errors = [texts[rank] for texts in self._failed_calls.values() if rank in texts]
-                why = f": it failed in {errors[-1]}" if errors else ""
                 theirs = f"{self._members[first].name} calls {name} (call {number})"
-                self._blame(
-                    f"rank {rank} has ended early{why}, after {member.calls} calls, where {theirs}", is_final=True
-                )
+                self._blame(f"{self._end_of(rank)}, after {member.calls} calls, where {theirs}", is_final=True)
+
+    def _end_of(self, rank: int) -> str:
+        """Says that a rank has ended, and of which error in a call, if it was one."""
+        errors = [texts[rank] for texts in self._failed_calls.values() if rank in texts]
+        return f"rank {rank} has ended early" + (f": it failed in {errors[-1]}" if errors else "")
 
     def _note_failed(self, rank: int, number: int, text: str) -> None:
         """A call has failed on a rank, perhaps not on all: those that wait in it must not do so for ever."""
@@ -338,7 +339,7 @@ class Hub:
         made = {rank: answer.get("exchanges", 0) for rank, answer in inquiry.answers.items()}
         reached = max(made.get(asker, 0) for asker in inquiry.askers)
         behind = [rank for rank in sorted(made) if inquiry.is_late and made[rank] < reached]
-        finished = [f"rank {rank} has ended early" for rank, member in self._members.items() if member.finished]
+        finished = [self._end_of(rank) for rank, member in self._members.items() if member.finished]
         suspects = {rank: made.get(rank) for rank in [*behind, *silent]}
         blamed = [rank for rank in suspects if inquiry.suspects.get(rank, -1) == suspects[rank]]
         if finished:
