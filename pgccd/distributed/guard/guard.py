@@ -175,8 +175,8 @@ class Guard:
         self._caller = 0
 
     def fail_call(self, error: Exception) -> None:
-        """Before `end_call`, if the call raises an error. Raises `RankFailureError` if ranks call different things, from
-        which the error may follow.
+        """Before `end_call`, if the call raises an error. Raises `RankFailureError` if ranks call different things,
+        from which the error may follow.
         """
         if self._channel is None or isinstance(error, RankFailureError):
             return
