@@ -41,7 +41,7 @@ def create_world(comm: distributed.Comm) -> distributed.World:
     position = 1.5 * torch.cartesian_prod(*[torch.arange(10.0, dtype=torch.float64)] * 3)
     orientation = torch.nn.functional.normalize(torch.randn(1000, 4, dtype=torch.float64))
     velocity, spin = torch.randn(2, 1000, 3, dtype=torch.float64)
-    share, device = torch.arange(comm.rank, 1000, comm.size), distributed.choose_device(name)
+    share, device = torch.arange(1000)[comm.rank :: comm.size], distributed.choose_device(name)
     columns = {"orientation": orientation, "velocity": velocity, "spin": spin}
     return distributed.World.create(
         [box],

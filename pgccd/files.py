@@ -244,7 +244,7 @@ def bodies_and_poses(path: str | PathLike[str], device: torch.device | str = "cp
     if not isinstance(origins, list) or len(origins) != len(names):
         raise ValueError(f"{path}: origin: expected a list of {len(names)} values, one a mesh, got {origins!r}")
     try:
-        meshes = [Mesh.load(path.parent / name, origin) for name, origin in zip(names, origins, strict=True)]
+        meshes = [Mesh.load(path.parent / name, origin, unit="m") for name, origin in zip(names, origins, strict=True)]
         scene = Scene(meshes, content["mesh_index"], device, **optional)
     except (OSError, TypeError, ValueError) as error:
         raise ValueError(f"{path}: {error}") from error

@@ -2,10 +2,12 @@
 understand, and the surface would have holes.
 """
 
+import bisect
+import codecs
 import itertools
 import json
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -38,7 +40,7 @@ def _stl(data: bytes) -> int | None:
     count = int.from_bytes(data[80:84], "little")
     if size >= 0 and size == 50 * count:
         return count
-    if data.lstrip().startswith(b"solid") and b"\0" not in data:
+    if is_stl_text(data):
         return _stl_text(data)
     if size < 0:
         return None
@@ -48,8 +50,14 @@ def _stl(data: bytes) -> int | None:
     )
 
 
+def is_stl_text(data: bytes) -> bool:
+    """Whether an STL file is text, in upper or lower case, with or without a byte-order mark."""
+    return data.removeprefix(codecs.BOM_UTF8).lstrip()[:5].lower() == b"solid" and b"\0" not in data
+
+
 def _stl_text(data: bytes) -> int:
-    words = re.findall(rb"(?m)^[ \t]*(solid|facet|vertex|endfacet|endsolid)\b", data.lower())
+    data = data.removeprefix(codecs.BOM_UTF8).lower()
+    words = re.findall(rb"(?m)^[ \t]*(solid|facet|vertex|endfacet|endsolid)\b", data)
     count = {word: words.count(word) for word in (b"solid", b"facet", b"vertex", b"endfacet", b"endsolid")}
     facets = count[b"facet"]
     if count[b"endfacet"] != facets or count[b"vertex"] != 3 * facets or count[b"endsolid"] != count[b"solid"]:
@@ -76,8 +84,8 @@ def _obj(data: bytes) -> int:
             raise ValueError(f"{named}: vertices of an OBJ file are numbered from 1, or backwards from -1")
         if max(map(abs, rows)) > len(vertices):
             raise ValueError(f"{named}: there are {len(vertices)} vertices")
-        if min(rows) < 0 and vertices[-1] > match.start():
-            raise ValueError(f"{named}: it counts backwards from the middle of the vertices, which cannot be read")
+        if -min(rows) > bisect.bisect(vertices, match.start()):
+            raise ValueError(f"{named}: it counts backwards beyond the first vertex")
         triangles += len(rows) - 2
     return triangles
 
@@ -102,15 +110,24 @@ def _off(data: bytes) -> int:
 class _Property:
     """A property of the rows of a PLY element: a number, or a list with its length."""
 
+    name: str
     values: np.dtype
     length: np.dtype | None
-    has_corners: bool  #: whether it lists the vertices of a face
 
 
-def _ply(data: bytes) -> int | None:
+#: Columns of an element: numbers (n,), lists of equal length (n, k), or lists of any lengths.
+PlyColumns = dict[str, np.ndarray | list[list[int]]]
+
+
+def ply_elements(data: bytes) -> Iterator[tuple[str, PlyColumns, bool]]:
+    """Name and columns of the elements of a PLY file, and whether it is a text; lists of three are an array (n, 3).
+
+    Raises:
+        ValueError: it holds less or more than it declares.
+    """
     header, end, body = data.partition(b"end_header")
     if not data.startswith(b"ply") or not end:
-        return None
+        return
     body = body[body.find(b"\n") + 1 :]
     kind, elements = "", []
     for line in header.decode("latin-1").splitlines():
@@ -122,98 +139,108 @@ def _ply(data: bytes) -> int | None:
         elif words[:1] == ["property"] and elements:
             order = ">" if "big" in kind else "<"
             types = [np.dtype(order + _PLY_TYPES[name]) for name in words[1 + (words[1] == "list") : -1]]
-            length = types[0] if len(types) == 2 else None
-            elements[-1][2].append(_Property(types[-1], length, words[-1] in ("vertex_indices", "vertex_index")))
-    read = _text_rows(body) if kind == "ascii" else _binary_rows(body)
-    triangles = 0
+            elements[-1][2].append(_Property(words[-1], types[-1], types[0] if len(types) == 2 else None))
+    is_text = kind == "ascii"
+    lines = (line.split() for line in body.splitlines() if line.strip()) if is_text else iter(())
+    begin = 0
     for name, count, properties in elements:
-        corners = read(count, properties)
-        _require_rows("a PLY file", f"element {name}", count, len(corners))
-        if kind != "ascii" and len(corners) and np.min(corners) != np.max(corners):
-            raise ValueError("a binary PLY file with faces of different numbers of corners, which trimesh cannot read")
-        triangles += int(np.maximum(np.asarray(corners) - 2, 0).sum())
-    if kind == "ascii" and len(read(1, [])):
+        if is_text:
+            columns, found = _text_rows(list(itertools.islice(lines, count)), properties)
+        else:
+            columns, found, begin = _binary_rows(body, begin, count, properties)
+        _require_rows("a PLY file", f"element {name}", count, found)
+        yield name, columns, is_text
+    if next(lines, None) is not None:
         raise ValueError("a PLY file that holds more rows than it declares")
+
+
+def _ply(data: bytes) -> int:
+    triangles = 0
+    for _, columns, _ in ply_elements(data):
+        corners = columns.get("vertex_indices", columns.get("vertex_index"))
+        if isinstance(corners, np.ndarray) and corners.ndim == 2:
+            triangles += len(corners)
+        elif corners is not None:
+            triangles += sum(max(0, len(each) - 2) for each in corners)
     return triangles
 
 
-#: Reads so many rows of such properties, or as many as there are whole ones: the number of corners of each, else 0.
-_Read = Callable[[int, Sequence[_Property]], Sequence[int] | np.ndarray]
+def _text_rows(rows: Sequence[Sequence[bytes]], properties: Sequence[_Property]) -> tuple[PlyColumns, int]:
+    """The columns, and the number of whole rows."""
+    values: list[list[Any]] = [[] for _ in properties]
+    whole = 0
+    for row in rows:
+        at, here = 0, []
+        for each in properties:
+            size = 1
+            if each.length is not None and at < len(row):
+                if not row[at].isdigit():
+                    raise ValueError(f"a PLY file with {row[at].decode('latin-1')!r} as the length of a list")
+                size, at = int(row[at]), at + 1
+            here.append(row[at : at + size])
+            at += size
+        if at > len(row):
+            break
+        whole += 1
+        for column, given in zip(values, here, strict=True):
+            column.append(given)
+    columns: PlyColumns = {}
+    for each, column in zip(properties, values, strict=True):
+        if each.length is None:
+            columns[each.name] = np.array([given[0] for given in column], dtype=each.values.kind + "8")
+        else:
+            columns[each.name] = _lists([[int(float(word)) for word in given] for given in column])
+    return columns, whole
 
 
-def _text_rows(body: bytes) -> _Read:
-    lines = (line.split() for line in body.splitlines() if line.strip())
-
-    def read(count: int, properties: Sequence[_Property]) -> list[int]:
-        corners: list[int] = []
-        for row in itertools.islice(lines, count):
-            at, here = 0, 0
-            for each in properties:
-                if each.length is not None and at < len(row):
-                    if not row[at].isdigit():
-                        raise ValueError(f"a PLY file with {row[at].decode('latin-1')!r} as the length of a list")
-                    size = int(row[at])
-                    here = size if each.has_corners else here
-                    at += size
-                at += 1
-            if at > len(row):
-                break
-            corners.append(here)
-        return corners
-
-    return read
+def _lists(rows: list[list[int]]) -> np.ndarray | list[list[int]]:
+    return np.array(rows).reshape(-1, 3) if all(len(row) == 3 for row in rows) else rows
 
 
-def _binary_rows(body: bytes) -> _Read:
-    begin = 0
-
-    def equal_rows(count: int, properties: Sequence[_Property]) -> np.ndarray | None:
-        """The corners, if all rows have the size of the first; None if they do not, or some are missing."""
-        nonlocal begin
-        sizes = [0 if each.length is None else _list_size(body, begin, each.length) for each in properties]
-        if sum(each.length is not None for each in properties) > 1 or (any(sizes) and properties[0].length is None):
-            return None
-        fields: list[Any] = []
-        for k, (each, size) in enumerate(zip(properties, sizes, strict=True)):
-            fields += [] if each.length is None else [(f"length{k}", each.length)]
-            fields.append((f"values{k}", each.values, () if each.length is None else (size,)))
-        row = np.dtype(fields)
-        if len(body) - begin < count * row.itemsize:
-            return None
+def _binary_rows(body: bytes, begin: int, count: int, properties: Sequence[_Property]) -> tuple[PlyColumns, int, int]:
+    """The columns, the number of whole rows, and where they end."""
+    sizes, at = [], begin
+    for each in properties:  # of the first row
+        size = 1 if each.length is None else _list_size(body, at, each.length)
+        sizes.append(size)
+        at += (0 if each.length is None else each.length.itemsize) + size * each.values.itemsize
+    fields: list[Any] = []
+    for k, (each, size) in enumerate(zip(properties, sizes, strict=True)):
+        fields += [] if each.length is None else [(f"length{k}", each.length)]
+        fields.append((f"values{k}", each.values, () if each.length is None else (size,)))
+    row = np.dtype(fields)
+    if count and properties and len(body) - begin >= count * row.itemsize:
         rows = np.frombuffer(body, row, count, begin)
-        corners = np.zeros(count, dtype=np.int64)
-        for k, (each, size) in enumerate(zip(properties, sizes, strict=True)):
-            if each.length is not None and (rows[f"length{k}"] != size).any():
-                return None
-            if each.has_corners:
-                corners[:] = size
-        begin += count * row.itemsize
-        return corners
-
-    def read(count: int, properties: Sequence[_Property]) -> Sequence[int] | np.ndarray:
-        nonlocal begin
-        if not count or not properties:
-            return np.zeros(count, dtype=np.int64)
-        equal = equal_rows(count, properties)
-        if equal is not None:
-            return equal
-        corners: list[int] = []
-        for _ in range(count):
-            at, here = begin, 0
-            for each in properties:
-                size = 1
-                if each.length is not None:
-                    size = _list_size(body, at, each.length)
-                    at += each.length.itemsize
-                    here = size if each.has_corners else here
-                at += size * each.values.itemsize
-            if at > len(body):
+        is_list = [each.length is not None for each in properties]
+        if all((rows[f"length{k}"] == sizes[k]).all() for k, one in enumerate(is_list) if one):
+            columns: PlyColumns = {}
+            for k, each in enumerate(properties):
+                column = rows[f"values{k}"]
+                columns[each.name] = column.tolist() if is_list[k] and sizes[k] != 3 else column
+            return columns, count, begin + count * row.itemsize
+    values: list[list[Any]] = [[] for _ in properties]
+    whole = 0
+    for _ in range(count if properties else 0):
+        at, here = begin, []
+        for each in properties:
+            size = 1
+            if each.length is not None:
+                size = _list_size(body, at, each.length)
+                at += each.length.itemsize
+            if at + size * each.values.itemsize > len(body):
+                at = len(body) + 1
                 break
-            begin = at
-            corners.append(here)
-        return corners
-
-    return read
+            here.append(np.frombuffer(body, each.values, size, at).tolist())
+            at += size * each.values.itemsize
+        if at > len(body):
+            break
+        begin, whole = at, whole + 1
+        for kept, given in zip(values, here, strict=True):
+            kept.append(given)
+    found: PlyColumns = {}
+    for each, kept in zip(properties, values, strict=True):
+        found[each.name] = np.array([given[0] for given in kept]) if each.length is None else _lists(kept)
+    return found, whole if properties else count, begin
 
 
 def _list_size(body: bytes, at: int, kind: np.dtype) -> int:

@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Sequence
 from functools import cached_property
 from os import PathLike
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -34,6 +34,8 @@ _FEW_UNITS = 4
 
 # Entries of a mesh's state_dict: what it is built from, and where it comes from.
 _STATE = ("vertices", "faces", "origin", "centre", "centre_offset")
+#: Units that lengths of files are converted to.
+Unit = Literal["m", "cm", "mm", "in", "ft"]
 _OF_FILE = ("name", "welded_vertices", "dropped_faces", "source_vertex", "source_face")
 
 
@@ -69,6 +71,7 @@ class Mesh:
         edges: (E, 2) int32: each edge once, smaller vertex first, in lexicographic order. Edge indices of contacts
             refer to it.
         name: of the object in its file, or None.
+        unit: length unit of the coordinates in metres, if the file that they are from states one, or `unit` was given.
         welded_vertices: number of vertices of the file removed by welding.
         dropped_faces: number of faces of the file dropped because they repeat a vertex.
         source_vertex: (V,) int64: row in the file of each vertex, the first of those welded; None for a mesh not from a
@@ -230,14 +233,21 @@ class Mesh:
         return cls._of_geometry(mesh_files.joined_geometry(mesh), origin, weld)
 
     @classmethod
-    def load(cls, path: str | PathLike[str], origin: Origin = (0.0, 0.0, 0.0), *, weld: bool = True) -> Mesh:
+    def load(
+        cls, path: str | PathLike[str], origin: Origin = (0.0, 0.0, 0.0), *, weld: bool = True, unit: Unit | None = None
+    ) -> Mesh:
         """From any mesh file that trimesh loads (ply, stl, obj, off, glb, dae, ...), or a binary mesh of MuJoCo (msh);
-        all meshes in it are joined.
+        all meshes in it are joined. Polygons are divided in triangles within their outlines (those of Collada files
+        must be convex). Coordinates are those of the file, axes included: the up axis that Collada and glTF files state
+        turns nothing, as in tools for URDF.
 
         Args:
             path: of the file.
-            origin: as for the constructor.
+            origin: as for the constructor, in units of the result.
             weld: as for `from_trimesh`.
+            unit: converts lengths to "m", "cm", "mm", "in" or "ft", if the file states its unit (Collada, 3MF, glTF);
+                other files are taken to be in this unit. Default: the numbers of the file. `mesh.unit` says what they
+                are.
 
         Raises:
             FileNotFoundError, IsADirectoryError: no such file.
@@ -253,18 +263,23 @@ class Mesh:
         checked_origin(origin)
         loaded = mesh_files.load_geometry(path)
         try:
-            return cls._of_geometry(mesh_files.joined_geometry(loaded), origin, weld, str(path))
+            factor, metres = mesh_files.conversion(path, loaded, unit)
+            mesh = cls._of_geometry(mesh_files.joined_geometry(loaded).scaled(factor), origin, weld, str(path))
+            mesh.unit = metres
+            return mesh
         except ValueError as error:
             raise ValueError(f"path: {path}: {error}") from error
 
     @classmethod
-    def load_all(cls, path: str | PathLike[str], origin: Origin = (0.0, 0.0, 0.0), *, weld: bool = True) -> list[Mesh]:
+    def load_all(
+        cls, path: str | PathLike[str], origin: Origin = (0.0, 0.0, 0.0), *, weld: bool = True, unit: Unit | None = None
+    ) -> list[Mesh]:
         """One mesh per object of a file, with their names: each mesh of a scene file (glb, gltf, 3mf, ...) in the
         scene's frame, each object and group of an obj file (named object_group), or the only mesh of other files; in
         the order of the file.
 
         Args:
-            path, origin, weld: as for `load`.
+            path, origin, weld, unit: as for `load`.
 
         Raises:
             FileNotFoundError, ValueError, ImportError: as for `load`; the object of the file is named.
@@ -277,9 +292,11 @@ class Mesh:
         loaded, part = mesh_files.load_geometry(path, apart=True), ""
         meshes = []
         try:
+            factor, metres = mesh_files.conversion(path, loaded, unit)
             for geometry in mesh_files.placed_geometry(loaded):
                 part = f": {geometry.name}" if geometry.name else ""
-                meshes.append(cls._of_geometry(geometry, origin, weld, f"{path}{part}"))
+                meshes.append(cls._of_geometry(geometry.scaled(factor), origin, weld, f"{path}{part}"))
+                meshes[-1].unit = metres
         except ValueError as error:
             raise ValueError(f"path: {path}{part}: {error}") from error
         return meshes
@@ -304,7 +321,7 @@ class Mesh:
         Example:
             >>> torch.save(rock.state_dict(), "rock.pt")
         """
-        return {name: getattr(self, name) for name in (*_STATE, *_OF_FILE)}
+        return {name: getattr(self, name) for name in (*_STATE, *_OF_FILE, "unit")}
 
     @classmethod
     def from_state_dict(cls, state: dict[str, Any]) -> Mesh:
@@ -330,13 +347,15 @@ class Mesh:
         mesh._prepare(points, triangles, *places)  # type: ignore[arg-type]
         for name in ("welded_vertices", "dropped_faces"):
             setattr(mesh, name, arguments.integer(state[name], name, 0, "a number >= 0"))
-        for name, allowed in (("name", str), ("source_vertex", Tensor), ("source_face", Tensor)):
+        state = {"unit": None} | state  # which former states lack
+        for name, allowed in (("name", str), ("unit", float), ("source_vertex", Tensor), ("source_face", Tensor)):
             if not isinstance(state[name], (allowed, type(None))):
                 raise TypeError(f"{name}: expected {allowed.__name__} or None, got {arguments.describe(state[name])}")
             setattr(mesh, name, state[name])
         return mesh
 
     name: str | None = None
+    unit: float | None = None
     welded_vertices: int = 0
     dropped_faces: int = 0
     source_vertex: Tensor | None = None

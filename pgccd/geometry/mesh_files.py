@@ -1,9 +1,11 @@
 """Triangles from files and from trimesh: extraction, placement and welding."""
 
+from __future__ import annotations
+
 import io
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import PathLike, fspath
 from pathlib import Path
 from typing import Any
@@ -11,8 +13,17 @@ from typing import Any
 import numpy as np
 
 from pgccd import arguments
-from pgccd.geometry.file_checks import declared_triangles
-from pgccd.geometry.mesh_formats import collada_without_looks, mujoco_mesh
+from pgccd.geometry.file_checks import declared_triangles, is_stl_text
+from pgccd.geometry.mesh_formats import collada_without_looks, gltf_of_triangles, mujoco_mesh, plain_stl
+from pgccd.geometry.polygons import PolygonFile, read_polygons, require_convex_polygons
+
+#: Units of lengths that files state, in metres.
+_METRES = {
+    **{"meters": 1.0, "meter": 1.0, "micron": 1e-6, "millimeter": 1e-3, "millimeters": 1e-3, "centimeter": 1e-2},
+    **{"inch": 0.0254, "foot": 0.3048},
+}
+#: Those that lengths are converted to.
+UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254, "ft": 0.3048}
 
 
 @dataclass(frozen=True)
@@ -22,6 +33,24 @@ class Geometry:
     vertices: np.ndarray  #: (V, 3) float64
     faces: np.ndarray  #: (F, 3) int64
     name: str | None = None
+
+    def scaled(self, factor: float) -> Geometry:
+        """With lengths multiplied."""
+        return self if factor == 1.0 else replace(self, vertices=factor * self.vertices)
+
+
+def conversion(path: str | PathLike[str], loaded: Any, unit: str | None) -> tuple[float, float | None]:
+    """By what lengths of a loaded file are multiplied, and the unit of the result in metres, if it is known.
+
+    Raises:
+        TypeError, ValueError: naming `unit`; or the file states an unknown unit.
+    """
+    stated = unit_of(Path(path), loaded)
+    if unit is None:
+        return 1.0, stated
+    arguments.choice(unit, "unit", UNITS)
+    wanted = UNITS[unit]
+    return (1.0 if stated is None else stated / wanted), wanted
 
 
 def load_geometry(path: str | PathLike[str], apart: bool = False) -> Any:
@@ -69,8 +98,43 @@ def _loaded(trimesh: Any, path: Path, options: dict[str, Any]) -> Any:
     if kind == ".msh":
         return trimesh.Trimesh(*mujoco_mesh(path.read_bytes()), process=False)
     if kind == ".dae":
-        return trimesh.load(io.BytesIO(collada_without_looks(path.read_bytes())), file_type="dae", process=False)
+        data = path.read_bytes()
+        require_convex_polygons(data)
+        return trimesh.load(io.BytesIO(collada_without_looks(data)), file_type="dae", process=False)
+    if kind == ".stl" and is_stl_text(data := path.read_bytes()):
+        return trimesh.load(io.BytesIO(plain_stl(data)), file_type="stl_ascii", process=False)
+    if kind in (".glb", ".gltf") and (triangles := gltf_of_triangles(path)) is not None:
+        return trimesh.load(io.BytesIO(triangles), file_type="glb", process=False)
+    if (polygons := read_polygons(path)) is not None:
+        return _of_polygons(trimesh, polygons, bool(options))
     return trimesh.load(fspath(path), process=False, **options)
+
+
+def _of_polygons(trimesh: Any, file: PolygonFile, apart: bool) -> Any:
+    """As trimesh loads a file; with `apart` a scene of its objects."""
+    parts = {part.name or str(k): file.triangles(part) for k, part in enumerate(file.parts)}
+    if not apart or len(parts) == 1:
+        return trimesh.Trimesh(file.vertices, np.concatenate(list(parts.values())), process=False)
+    return trimesh.Scene(
+        {name: trimesh.Trimesh(file.vertices, faces, process=False) for name, faces in parts.items() if len(faces)}
+    )
+
+
+def unit_of(path: Path, loaded: Any) -> float | None:
+    """The unit of lengths of a loaded file, in metres; None if the file states none."""
+    kind = path.suffix.lower()
+    if kind in (".glb", ".gltf"):
+        return 1.0
+    stated = [getattr(each, "metadata", {}).get("units") for _, each, _ in _parts(loaded)]
+    stated.append(getattr(loaded, "metadata", {}).get("units"))
+    name = next((each for each in stated if each), None)
+    if kind not in (".dae", ".3mf") or name is None:
+        return None
+    number, _, word = str(name).rpartition(" * ")
+    metres = _METRES.get(word)
+    if metres is None:
+        raise ValueError(f"expected lengths in one of {', '.join(_METRES)}; got {name!r}")
+    return float(number or 1.0) * metres
 
 
 def _missing_package(error: Exception) -> str | None:
@@ -96,7 +160,10 @@ def placed_geometry(loaded: Any) -> list[Geometry]:
         vertices = np.asarray(part.vertices, dtype=np.float64).reshape(-1, 3)
         if transform is not None:
             vertices = vertices @ transform[:3, :3].T + transform[:3, 3]
-        found.append(Geometry(vertices, np.asarray(faces, dtype=np.int64).reshape(-1, 3), name))
+        faces = np.asarray(faces, dtype=np.int64).reshape(-1, 3)
+        if transform is not None and np.linalg.det(transform[:3, :3]) < 0.0:
+            faces = faces[:, ::-1]  # a mirror image: what was outside stays there
+        found.append(Geometry(vertices, faces, name))
     if not any(len(geometry.faces) for geometry in found):
         raise ValueError(f"mesh: {type(loaded).__name__} holds no triangles")
     return found

@@ -1,5 +1,14 @@
 """Mesh files that trimesh does not read, or not as a whole."""
 
+from __future__ import annotations
+
+import base64
+import codecs
+import json
+import struct
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
 from xml.etree import ElementTree
 
 import numpy as np
@@ -53,3 +62,121 @@ def mujoco_mesh(data: bytes) -> tuple[np.ndarray, np.ndarray]:
     points = np.frombuffer(data, "<f4", 3 * vertices, 16).reshape(-1, 3)
     corners = np.frombuffer(data, "<i4", 3 * faces, expected - 12 * faces).reshape(-1, 3)
     return points.astype(np.float64), corners.astype(np.int64)
+
+
+def plain_stl(data: bytes) -> bytes:
+    """A text STL file in lower case, without a byte-order mark."""
+    return data.removeprefix(codecs.BOM_UTF8).lower()
+
+
+# Modes of glTF primitives.
+_TRIANGLES, _STRIP, _FAN = 4, 5, 6
+_INDEX_TYPES = {5121: "<u1", 5123: "<u2", 5125: "<u4"}
+
+
+def gltf_of_triangles(path: Path) -> bytes | None:
+    """A glTF file as GLB in which strips and fans are triangles, and points and lines beside triangles are left out.
+    None if it has none of these: readers leave them out without a word.
+
+    Raises:
+        ValueError, OSError: a buffer is missing.
+    """
+    content, buffers = _gltf_parts(path)
+    meshes = content.get("meshes", [])
+    primitives = [primitive for mesh in meshes for primitive in mesh["primitives"]]
+    modes = [primitive.get("mode", _TRIANGLES) for primitive in primitives]
+    if not any(mode in (_STRIP, _FAN) for mode in modes) and (min(modes, default=4) >= 4 or max(modes, default=0) < 4):
+        return None
+    for mesh in meshes:
+        kept = [each for each in mesh["primitives"] if each.get("mode", _TRIANGLES) >= _TRIANGLES]
+        for primitive in kept:
+            mode = primitive.get("mode", _TRIANGLES)
+            if mode != _TRIANGLES:
+                rows = _gltf_indices(content, buffers, primitive)
+                primitive |= {"mode": _TRIANGLES, "indices": len(content["accessors"])}
+                _add_indices(content, buffers, _fan(rows) if mode == _FAN else _strip(rows))
+        mesh["primitives"] = kept
+    # Nodes without a mesh keep their numbers.
+    empty = {number for number, mesh in enumerate(meshes) if not mesh["primitives"]}
+    place = {number: k for k, number in enumerate(n for n in range(len(meshes)) if n not in empty)}
+    content["meshes"] = [mesh for mesh in meshes if mesh["primitives"]]
+    for node in content.get("nodes", []):
+        if "mesh" in node:
+            number = node.pop("mesh")
+            if number in place:
+                node["mesh"] = place[number]
+    return _glb(content, buffers)
+
+
+def _gltf_parts(path: Path) -> tuple[dict[str, Any], list[bytes]]:
+    data, binary = path.read_bytes(), None
+    if data.startswith(b"glTF"):
+        length = int.from_bytes(data[12:16], "little")
+        text, rest = data[20 : 20 + length], data[20 + length :]
+        binary = rest[8 : 8 + int.from_bytes(rest[:4], "little")] if len(rest) >= 8 else b""
+    else:
+        text = data
+    content = json.loads(text)
+    buffers = []
+    for number, buffer in enumerate(content.get("buffers", [])):
+        uri = buffer.get("uri")
+        if uri is None:
+            if binary is None:
+                raise ValueError(f"a glTF file whose buffer {number} is missing")
+            buffers.append(binary)
+        elif uri.startswith("data:"):
+            buffers.append(base64.b64decode(uri.partition(",")[2]))
+        else:
+            buffers.append((path.parent / unquote(uri)).read_bytes())
+    return content, buffers
+
+
+def _gltf_indices(content: dict[str, Any], buffers: list[bytes], primitive: dict[str, Any]) -> np.ndarray:
+    """The vertices (n,) of a primitive in their order."""
+    accessors = content["accessors"]
+    if "indices" not in primitive:
+        return np.arange(accessors[primitive["attributes"]["POSITION"]]["count"])
+    accessor = accessors[primitive["indices"]]
+    if "sparse" in accessor or "bufferView" not in accessor:
+        raise ValueError("a glTF file with sparse indices, which cannot be read")
+    view = content["bufferViews"][accessor["bufferView"]]
+    begin = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+    kind = np.dtype(_INDEX_TYPES[accessor["componentType"]])
+    return np.frombuffer(buffers[view["buffer"]], kind, accessor["count"], begin).astype(np.int64)
+
+
+def _fan(rows: np.ndarray) -> np.ndarray:
+    return np.stack([np.full(max(len(rows) - 2, 0), rows[0]), rows[1:-1], rows[2:]], axis=1)
+
+
+def _strip(rows: np.ndarray) -> np.ndarray:
+    """Every second triangle is turned; those that repeat a vertex join strips, and have no area."""
+    triangles = np.stack([rows[:-2], rows[1:-1], rows[2:]], axis=1)
+    triangles[1::2] = triangles[1::2, [1, 0, 2]]
+    repeats = (triangles == np.roll(triangles, 1, axis=1)).any(axis=1)
+    return triangles[~repeats]
+
+
+def _add_indices(content: dict[str, Any], buffers: list[bytes], triangles: np.ndarray) -> None:
+    data = triangles.astype("<u4").tobytes()
+    content["accessors"].append(
+        {"bufferView": len(content["bufferViews"]), "componentType": 5125, "count": triangles.size, "type": "SCALAR"}
+    )
+    content["bufferViews"].append({"buffer": len(buffers), "byteLength": len(data)})
+    buffers.append(data)
+
+
+def _glb(content: dict[str, Any], buffers: list[bytes]) -> bytes:
+    """With all buffers joined."""
+    begins, joined = [], b""
+    for buffer in buffers:
+        begins.append(len(joined))
+        joined += buffer + bytes(-len(buffer) % 4)
+    for view in content.get("bufferViews", []):
+        view["byteOffset"] = view.get("byteOffset", 0) + begins[view["buffer"]]
+        view["buffer"] = 0
+    content["buffers"] = [{"byteLength": len(joined)}]
+    text = json.dumps(content).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(joined), 0x004E4942) + joined
+    return struct.pack("<III", 0x46546C67, 2, 12 + len(chunks)) + chunks

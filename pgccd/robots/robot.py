@@ -467,6 +467,8 @@ def robot_of_file(path: Path, neutral: Sequence[float], *parts: Any) -> Robot:
         robot = Robot(*parts)
     except ValueError as error:
         raise ValueError(f"path: {path}: {error}") from error
+    if robot.body_count < 2:
+        return robot
     x, r = robot.poses(torch.tensor(neutral, dtype=torch.float64).reshape(-1))
     touching = robot.body_link[detect(robot.scene(), RigidMotion.at_rest(x, r), "any").pairs]
     if len(touching):

@@ -38,8 +38,9 @@ def load_urdf(
 ) -> Robot:
     """A robot from a URDF file: one body a link with collision geometry, its origin at the link's joint.
 
-    Meshes and boxes are taken as they are. Cylinders are prisms around the cylinder, at most 0.13 % thicker; spheres
-    are exact to 1e-9 of their radius.
+    Meshes and boxes are taken as they are, in metres: lengths of mesh files that state a unit (Collada, 3MF) are
+    converted, their up axis turns nothing, and a mirrored scale keeps the outside outside. Cylinders are prisms around
+    the cylinder, at most 0.13 % thicker; spheres are exact to 1.3e-9 of their radius.
 
     Not tested are pairs of links that are rigidly joined, neighbours, and those that the SRDF file disables; see also
     `Robot.untested` and `Robot.excluding_sampled`. The neighbour of a link is the first link with geometry above its
@@ -206,9 +207,11 @@ def _surface(link: str, collision: Any, path: Path, packages: Mapping[str, str |
             surface = shapes.sphere(arguments.length(geometry.sphere.radius, "radius"))
         else:
             file = _file(geometry.mesh.filename, path, packages)
-            mesh = Mesh.load(file)
+            mesh = Mesh.load(file, unit="m")
             scale = np.ones(3) if geometry.mesh.scale is None else np.asarray(geometry.mesh.scale) * np.ones(3)
-            surface = ThickSurface(mesh.vertices.numpy() * scale, mesh.faces.long().numpy())
+            faces = mesh.faces.long().numpy()
+            # A mirror image: what was outside stays there.
+            surface = ThickSurface(mesh.vertices.numpy() * scale, faces[:, ::-1] if scale.prod() < 0.0 else faces)
     except (OSError, ValueError) as error:
         raise type(error)(f"path: {path}: link {link!r}: {error}") from error
     if collision.origin is None:

@@ -103,7 +103,7 @@ class CheckpointWriter:
         if writing is None:
             return None
         done, thread = writing
-        with self._comm.guard.waiting("checkpoint") if self._comm.size > 1 else nullcontext():
+        with self._comm.guard.waiting("checkpoint", may_last=True) if self._comm.size > 1 else nullcontext():
             try:
                 return done.result()
             finally:

@@ -16,11 +16,13 @@ from torch import Tensor
 from pgccd import arguments
 from pgccd.distributed.comm.objects import Objects
 from pgccd.distributed.comm.peer_memory import PeerMessages
-from pgccd.distributed.guard import Guard, RankFailureError, is_of_all_ranks
+from pgccd.distributed.guard import Guard, RankFailureError, collective, is_of_all_ranks
 
 # Above this number of ranks, counts and rows are exchanged point-to-point with neighbours; up to it, one collective
 # call is faster.
 _NEIGHBOURS_ABOVE = 32
+# Calls that each transport makes in its own way.
+_OF_TRANSPORTS = ("exchange", "all_gather", "sum", "min", "reserve_peer_messages")
 
 T = TypeVar("T")
 
@@ -72,6 +74,11 @@ class Comm(ABC):
     peer_messages: PeerMessages | None = None
     neighbours_above = _NEIGHBOURS_ABOVE
 
+    def __init_subclass__(cls) -> None:
+        for name in _OF_TRANSPORTS:
+            if name in vars(cls):
+                setattr(cls, name, collective(vars(cls)[name], f"Comm.{name}"))
+
     @property
     def goes_with_the_stream(self) -> bool:
         """Whether messages between GPUs are enqueued on the current stream, so that the host does not wait."""
@@ -89,6 +96,7 @@ class Comm(ABC):
                 `neighbours_above` of them by one collective call.
         """
 
+    @collective
     def exchange_counts(self, counts: Tensor, peers: Sequence[int] | None = None) -> Tensor:
         """counts (peers, ...) int64, one row per peer -> the row for this rank of each; `peers` as for `exchange`."""
         once = [1] * len(counts)
@@ -107,6 +115,7 @@ class Comm(ABC):
     def min(self, values: Tensor) -> Tensor:
         """The minimum over the ranks of each of the values (k, ...) int64 or float64."""
 
+    @collective
     def any(self, flag: bool) -> bool:
         """True if the flag is set on any rank."""
         return bool(self.min(torch.tensor([-int(flag)])))
@@ -121,6 +130,7 @@ class Comm(ABC):
     def background(self) -> Objects:
         """The same, from a separate thread, concurrent with other messages; created by a call on all ranks."""
 
+    @collective
     def gather_objects(self, value: Any) -> list[Any]:
         """A small value of every rank on rank 0, ordered by rank; an empty list on the others. Values are sent as JSON,
         in which tuples are lists.
@@ -128,11 +138,13 @@ class Comm(ABC):
         with self.guard.waiting("gather of objects"):
             return self.objects.gather(value)
 
+    @collective
     def broadcast_object(self, value: Any) -> Any:
         """Rank 0's small value, as by `gather_objects`."""
         with self.guard.waiting("broadcast of an object"):
             return self.objects.broadcast(value)
 
+    @collective
     def broadcast(self, values: Tensor | None) -> Tensor:
         """Rank 0's tensor on all ranks, on the CPU.
 
@@ -157,6 +169,7 @@ class Comm(ABC):
         """The ranks to send to point-to-point; None: one collective call with all ranks."""
         return range(self.size) if peers is None and self.size > self.neighbours_above else peers
 
+    @collective
     def barrier(self) -> None:
         """Returns once every rank has called it."""
         self.any(False)

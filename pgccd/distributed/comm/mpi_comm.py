@@ -164,7 +164,7 @@ class MpiComm(Comm):
         if self.control is None:
             raise RuntimeError("control: checkpoints need a torch.distributed group beside MPI")
         with self.guard.waiting("connection"):
-            return GroupObjects(dist.new_group(backend="gloo", timeout=NO_TIMEOUT))
+            return GroupObjects(dist.new_group(backend="gloo", timeout=NO_TIMEOUT), self.guard)
 
     def close(self) -> None:
         self.guard.close()

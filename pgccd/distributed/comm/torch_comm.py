@@ -35,33 +35,59 @@ _LAST_MESSAGES_SECONDS, _STOP_SECONDS = 5.0, 2.0
 NO_TIMEOUT = timedelta(days=365)
 
 
-class GroupObjects(Objects):
-    """Exchange of small values over a process group."""
+# Interval in which a rank that waits for Gloo, whose own wait cannot be interrupted, looks whether there is a verdict.
+_TURN = timedelta(seconds=0.2)
 
-    def __init__(self, group: dist.ProcessGroup) -> None:
-        self._group = group
+
+def finish(work: Any, guard: Guard) -> None:
+    """Waits for work of Gloo. Raises RuntimeError once the guard has a verdict; None, of work that has been done, is
+    not waited for.
+    """
+    while work is not None:
+        try:
+            work.wait(_TURN)
+            return
+        except RuntimeError:
+            if work.is_completed():
+                work.wait()  # raises its error; none if it has completed since
+                return
+            guard.require_no_verdict()
+
+
+class GroupObjects(Objects):
+    """Exchange of small values over a process group.
+
+    Args:
+        group: of all ranks.
+        guard: whose verdict ends a wait.
+    """
+
+    def __init__(self, group: dist.ProcessGroup, guard: Guard) -> None:
+        self._group, self._guard = group, guard
+        self._how: dict[str, Any] = {"group": group, "async_op": dist.get_backend(group) == "gloo"}
         self._device = torch.device("cuda" if dist.get_backend(group) == "nccl" else "cpu")
 
     def gather(self, value: Any) -> list[Any]:
         own = encode(value).to(self._device)
         sizes = own.new_zeros(dist.get_world_size(self._group), dtype=torch.int64)
-        dist.all_gather(list(sizes.split(1)), own.new_full((1,), len(own), dtype=torch.int64), group=self._group)
+        size = own.new_full((1,), len(own), dtype=torch.int64)
+        finish(dist.all_gather(list(sizes.split(1)), size, **self._how), self._guard)
         announced = require_sizes(sizes)
         padded = pad(own, (0, max(announced) - len(own)))
         if dist.get_rank(self._group) != 0:
-            dist.gather(padded, group_dst=0, group=self._group)
+            finish(dist.gather(padded, group_dst=0, **self._how), self._guard)
             return []
         gathered = [torch.empty_like(padded) for _ in announced]
-        dist.gather(padded, gathered, group_dst=0, group=self._group)
+        finish(dist.gather(padded, gathered, group_dst=0, **self._how), self._guard)
         return [decode(each[:size]) for each, size in zip(gathered, announced, strict=True)]
 
     def broadcast(self, value: Any) -> Any:
         is_first = dist.get_rank(self._group) == 0
         own = encode(value if is_first else None).to(self._device)
         size = own.new_full((1,), len(own), dtype=torch.int64)
-        dist.broadcast(size, group_src=0, group=self._group)
+        finish(dist.broadcast(size, group_src=0, **self._how), self._guard)
         message = own if is_first else own.new_empty(require_sizes(size))
-        dist.broadcast(message, group_src=0, group=self._group)
+        finish(dist.broadcast(message, group_src=0, **self._how), self._guard)
         return decode(message)
 
 
@@ -133,7 +159,10 @@ class TorchComm(Comm):
 
         def wait(rows: Tensor = rows) -> Tensor:  # keeps the send buffer alive
             for work in works:
-                work.wait()
+                if peers is None and self.transport == "gloo":
+                    finish(work, self.guard)
+                else:
+                    work.wait()
             return arriving.to(device)
 
         return Pending(wait, self.guard)
@@ -162,13 +191,15 @@ class TorchComm(Comm):
             if self.transport == "nccl":  # one buffer, no copies
                 dist.all_gather_into_tensor(gathered, staged, group=self._group)
             else:
-                dist.all_gather(list(gathered.unbind()), staged, group=self._group)
+                later = self.transport == "gloo"
+                finish(dist.all_gather(list(gathered.unbind()), staged, group=self._group, async_op=later), self.guard)
             return gathered.to(values.device)
 
     def _reduce(self, values: Tensor, operation: Any, what: str) -> Tensor:
         staged = self._stage(values.clone())
         with self.guard.waiting(what):
-            dist.all_reduce(staged, op=operation, group=self._group)
+            later = self.transport == "gloo"
+            finish(dist.all_reduce(staged, op=operation, group=self._group, async_op=later), self.guard)
             return staged.to(values.device)
 
     def sum(self, values: Tensor) -> Tensor:
@@ -202,14 +233,14 @@ class TorchComm(Comm):
 
     @property
     def objects(self) -> Objects:
-        return GroupObjects(self.control)
+        return GroupObjects(self.control, self.guard)
 
     @functools.cached_property
     def background(self) -> Objects:
         ranks = dist.get_process_group_ranks(self._group)
         with self.guard.waiting("connection"):
             group = dist.new_group(ranks, backend="gloo", use_local_synchronization=True, timeout=NO_TIMEOUT)
-        return GroupObjects(group)
+        return GroupObjects(group, self.guard)
 
     def close_before(self, graph: Closeable) -> None:
         self._graphs.add(graph)
@@ -224,7 +255,7 @@ class TorchComm(Comm):
             return
         if self.transport == "nccl":
             try:
-                with self.guard.waiting("the last messages", for_gpu=True):
+                with self.guard.waiting("the last messages"):
                     torch.cuda.synchronize(self._gpu)
             except Exception as error:
                 self.abandon(error)

@@ -6,11 +6,15 @@ longer than the time-out: the hub then queries all P ranks.
 
 torchrun, mpirun and srun end a job when one of its processes dies, but do not find the cause, and do not detect a
 hanging rank.
+
+Every rank also tells the hub the name and number of each public call, without waiting for an answer. Ranks that call
+different things would wait for each other without end, or take one another's messages for their own.
 """
 
 from __future__ import annotations
 
+from pgccd.distributed.guard.calls import collective
 from pgccd.distributed.guard.guard import Guard, RankFailureError, is_of_all_ranks, of_all_ranks
 from pgccd.distributed.guard.hub import Hub
 
-__all__ = ["Guard", "Hub", "RankFailureError", "is_of_all_ranks", "of_all_ranks"]
+__all__ = ["Guard", "Hub", "RankFailureError", "collective", "is_of_all_ranks", "of_all_ranks"]

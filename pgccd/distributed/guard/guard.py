@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import atexit
+import faulthandler
 import os
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TypeVar
 
+from pgccd.distributed.guard import terminate
 from pgccd.distributed.guard.channel import Channel, one_line
 from pgccd.distributed.guard.hub import Hub
 from pgccd.distributed.guard.turns import TurnClock
@@ -22,12 +24,15 @@ _VERDICT_SECONDS = 20.0
 # Time for a rank to end a failed exchange by itself before the process is killed.
 _GRACE_SECONDS = 10.0
 _EXIT_CODE = 70
+# Time in an exchange of a call that failed on another rank, after which that rank is at fault; and for the hub to note
+# a failure.
+_STUCK_SECONDS, _NOTED_SECONDS = 1.0, 2.0
 # An error after this fraction of the time-out counts as a time-out, since libraries measure time differently.
 _LATE = 0.9
 
 
 class RankFailureError(RuntimeError):
-    """Another rank died, hangs or failed; the message names it."""
+    """Another rank died, hangs or failed, or ranks call different things; the message names them."""
 
 
 E = TypeVar("E", bound=BaseException)
@@ -70,7 +75,12 @@ class Guard:
         #: On rank 0.
         self.hub = hub
         self._lock = threading.Lock()
-        self._exchanges, self._is_waiting, self._is_for_gpu = 0, False, False
+        self._exchanges, self._is_waiting, self._may_last = 0, False, False
+        # Public calls of this rank, and the thread that is in one; whether the last one failed here, perhaps not on all
+        # ranks; and the failed calls of other ranks, by number.
+        self._calls, self._caller, self._calls_lock = 0, 0, threading.Lock()
+        self._has_failed_call, self._failed_calls = False, set[int]()
+        self._noted, self._settled = threading.Event(), threading.Event()
         self._clock = TurnClock()
         self._progress = 0.0  # of the clock
         #: Current activity of the rank, for messages; cheap to set.
@@ -103,6 +113,7 @@ class Guard:
         if channel is not None:
             self._thread = threading.Thread(target=self._watch, name="pgccd-guard", daemon=True)
             self._thread.start()
+            terminate.catch_errors_of_threads()
             # Closes the guard at exit, if the caller does not.
             atexit.register(self._leave)
 
@@ -112,18 +123,18 @@ class Guard:
         return "" if self._channel is None else str(self._channel.socket.getsockname()[0])
 
     @contextmanager
-    def waiting(self, what: str, for_gpu: bool = False) -> Iterator[None]:
-        """Wraps every exchange. Raises `RankFailureError` instead of an error in it if another rank is at fault.
+    def waiting(self, what: str, may_last: bool = False) -> Iterator[None]:
+        """Wraps every exchange. Raises `RankFailureError` instead of an error in it if another rank is at fault. An
+        exchange in which no rank is behind ends the job if it takes longer than twice the guard's time-out.
 
         Args:
             what: for messages.
-            for_gpu: whether this waits for kernels that wait for messages, without a time-out of their own. Such an
-                exchange ends the process if it takes longer than twice the guard's time-out.
+            may_last: whether it may take any time, since it waits for something else than messages.
         """
         with self._lock:
             self._exchanges += 1
             self._progress = self._clock.now
-            self._is_waiting, self._is_for_gpu = True, for_gpu
+            self._is_waiting, self._may_last = True, may_last
         try:
             yield
         except RuntimeError as error:
@@ -133,17 +144,73 @@ class Guard:
                 self._has_failed = False
                 raise
             # NCCL's shutdown, and MPI's, wait for all ranks.
-            self._ends_hard = self.is_broken is not None or "mpi4py.MPI" in sys.modules
+            self._ends_hard |= self.is_broken is not None or "mpi4py.MPI" in sys.modules
             raise RankFailureError(f"{verdict} (rank {self._rank} was in {self.activity}, {what})") from error
         finally:
             self._is_waiting = False
+
+    def begin_call(self, name: str) -> bool:
+        """Tells the hub, without waiting, of a public call that all ranks make in the same order. Calls within a call
+        do not count: False. After True, `end_call` must follow.
+
+        Raises:
+            RankFailureError: there is a verdict.
+            RuntimeError: another thread is in a call, so that ranks may make them in different orders.
+        """
+        if self._channel is None or self._caller == threading.get_ident():
+            return False
+        if self._has_failed_call:
+            self._settle(name)
+        if self._verdict is not None and self._is_final:
+            raise RankFailureError(f"{self._verdict} (rank {self._rank} was about to call {name})")
+        with self._calls_lock:
+            if self._caller:
+                raise RuntimeError(f"{name}: another thread of rank {self._rank} is in such a call")
+            self._caller, self._calls = threading.get_ident(), self._calls + 1
+        self._channel.send(about="call", number=self._calls, name=name)
+        return True
+
+    def end_call(self) -> None:
+        """After `begin_call` returned True."""
+        self._caller = 0
+
+    def fail_call(self, error: Exception) -> None:
+        """Before `end_call`, if the call raises an error. Raises `RankFailureError` if ranks call different things,
+        from which the error may follow.
+        """
+        if self._channel is None or isinstance(error, RankFailureError):
+            return
+        is_of_all = is_of_all_ranks(error)
+        self._noted.clear()
+        self._settled.clear()
+        text = None if is_of_all else _first_line(error)
+        if self._channel.send(about="failed call", number=self._calls, text=text):
+            self._noted.wait(_NOTED_SECONDS)
+        if self._verdict is not None and self._is_final:
+            self._ends_hard = True
+            raise RankFailureError(f"{self._verdict} (rank {self._rank} was in {self.activity})") from error
+        self._has_failed_call = not is_of_all
+
+    def _settle(self, name: str) -> None:
+        """After an error in a call that was caught: waits until no rank is in that call any more. Otherwise this rank's
+        messages would be taken for those of the call.
+        """
+        with self.waiting(f"{name}, after an error in the call before"):
+            while not self._settled.wait(_TURN_SECONDS):
+                self.require_no_verdict()
+        self._has_failed_call = False
+
+    def require_no_verdict(self) -> None:
+        """Called from time to time while waiting for a message. Raises RuntimeError if the wait cannot end."""
+        if self._verdict is not None and self._is_final:
+            self._ends_hard = True  # the library's shutdown would wait for the message, too
+            raise RuntimeError("a message has not arrived")
 
     def report(self, error: BaseException) -> None:
         """Reports to all ranks that this one fails with an error of its own."""
         if self._channel is None or isinstance(error, RankFailureError):
             return
-        first_line = f"{type(error).__name__}: {error}".splitlines()[0][:1000]
-        self._channel.send(about="failure", text=f"failed in {self.activity}: {first_line}")
+        self._channel.send(about="failure", text=f"failed in {self.activity}: {_first_line(error)}")
 
     def close(self) -> None:
         """Leaves the job: a rank that has finished is not at fault, unless another waits for it."""
@@ -166,8 +233,13 @@ class Guard:
 
     def _leave(self) -> None:
         """Runs at exit, after errors have been printed."""
+        error = getattr(sys, "last_value", None)
+        if error is not None and not hasattr(sys, "ps1") and not self._closed.is_set():
+            self.report(error)  # not raised within `with`
         self.close()
-        if self._ends_hard:
+        if self.hub is not None:
+            self.hub.repeat_verdict()
+        if self._ends_hard or terminate.is_stopped.is_set():
             sys.stdout.flush()
             sys.stderr.flush()
             os._exit(_EXIT_CODE)
@@ -228,18 +300,20 @@ class Guard:
         now = self._clock.now
         with self._lock:
             exchanges, still = self._exchanges, now - self._progress
-            is_waiting, is_for_gpu = self._is_waiting, self._is_for_gpu
+            is_waiting, ends = self._is_waiting, self._is_waiting and not self._may_last
         is_late, since_asked = still > self._timeout, now - self._asked
-        is_waiting_for_gpu = is_waiting and is_for_gpu
         if self._agent is not None and os.getppid() != self._agent:
             self._fail("has lost the process that launched it")
         elif is_late and is_waiting and self._ended_hub is not None:
             self._decide(self._ended_hub)
-        elif is_waiting_for_gpu and self._none_behind == (exchanges, 2):
-            # All ranks have sent what this one waits for. Asked twice, since messages are late, not lost, after all
-            # processes have been suspended.
-            self._fail("lost messages of other ranks, although all are alive")
-        elif is_late and (self._late_at != exchanges or (is_waiting_for_gpu and since_asked > self._timeout)):
+        elif ends and still > _STUCK_SECONDS and self._calls in self._failed_calls:
+            self._failed_calls.discard(self._calls)
+            self._channel.send(about="stuck", number=self._calls)
+        elif ends and self._none_behind == (exchanges, 2):
+            # All ranks have sent what this one waits for, or wait for other messages. Asked twice, since messages are
+            # late, not lost, after all processes have been suspended.
+            self._fail("lost messages of other ranks, although all are alive", is_hang=True)
+        elif is_late and (self._late_at != exchanges or (ends and since_asked > self._timeout)):
             self._late_at, self._late_in, self._asked = exchanges, is_waiting, now
             self._silent_since = now if self._silent_since is None else self._silent_since
             self._channel.send(about="error", is_late=True, exchange=exchanges)
@@ -267,9 +341,11 @@ class Guard:
         self._verdict, self._late_at, self._silent_since = None, -1, None
         self._answered.clear()
 
-    def _fail(self, text: str) -> None:
+    def _fail(self, text: str, is_hang: bool = False) -> None:
         assert self._channel is not None
-        self._channel.send(about="failure", text=text)
+        if is_hang:
+            self._print_stack()
+        self._channel.send(about="failure", text=text, is_hang=is_hang)
         self._decide(f"rank {self._rank} {text}")
 
     def _blame_silent_hub(self) -> None:
@@ -298,7 +374,16 @@ class Guard:
         for message in messages or []:
             match message.get("about"):
                 case "verdict":
+                    if message.get("is_hang") and self._verdict is None:
+                        self._print_stack()
                     self._decide(str(message.get("text")), is_final=bool(message.get("is_final")))
+                case "failed call":
+                    self._failed_calls.add(message.get("number", 0))
+                case "noted":
+                    self._noted.set()
+                case "settled":
+                    self._failed_calls.discard(message.get("number", 0))
+                    self._settled.set()
                 case "withdrawn":
                     if not self._is_final:
                         self._withdraw()
@@ -320,9 +405,23 @@ class Guard:
     def _decide(self, verdict: str, is_final: bool = True) -> None:
         if self._verdict is None:
             self._verdict, self._is_final = one_line(verdict), is_final
+            if is_final:
+                terminate.has_verdict.set()
         self._answered.set()
+        self._noted.set()
+
+    def _print_stack(self) -> None:
+        """Where the threads of this rank are, for a verdict about ranks that hang."""
+        with suppress(Exception):  # without a standard error, for example
+            sys.__stderr__.write(f"pgccd: rank {self._rank} is in {self.activity}:\n")  # type: ignore[union-attr]
+            sys.__stderr__.flush()  # type: ignore[union-attr]
+            faulthandler.dump_traceback(sys.__stderr__)  # type: ignore[arg-type]
 
     def _give_up(self, verdict: str) -> None:
         sys.stderr.write(f"pgccd: rank {self._rank} gives up in {self.activity}: {verdict}\n")
         sys.stderr.flush()
         os._exit(_EXIT_CODE)  # the only way to end a blocking call into a communication library
+
+
+def _first_line(error: BaseException) -> str:
+    return f"{type(error).__name__}: {error}".splitlines()[0][:1000]

@@ -34,6 +34,8 @@ class _Member:
     channel: Channel
     name: str
     finished: bool = False  #: it has finished, so its silence is no fault
+    calls: int = 0  #: number of public calls
+    call: str = ""  #: name of the last one
 
 
 @dataclass
@@ -72,6 +74,11 @@ class Hub:
         self._is_final = False  # whether the verdict cannot be withdrawn
         self._inquiry: _Inquiry | None = None
         self._queries = 0
+        # By number: the first rank that made a call, its name, and how many have made it; and the ranks on which a call
+        # failed, with the error.
+        self._calls: dict[int, tuple[int, str, int]] = {}
+        self._failed_calls: dict[int, dict[int, str]] = {}
+        self._to_note: list[Channel] = []
         self._clock = TurnClock()
         #: Set once all ranks have joined.
         self.is_complete = threading.Event()
@@ -113,11 +120,16 @@ class Hub:
         while not self._closing.is_set() or (
             self._verdict is not None and self._ranks and time.monotonic() < self._deadline
         ):
-            for key, _ in self._selector.select(0.1 if self._closing.is_set() else 0.2 * _TICK_SECONDS):
+            noted, self._to_note = self._to_note, []
+            for key, _ in self._selector.select(
+                0.0 if noted else 0.1 if self._closing.is_set() else 0.2 * _TICK_SECONDS
+            ):
                 if key.fileobj is self._listener:
                     self._accept()
                 else:
                     self._read(key.fileobj)  # type: ignore[arg-type]
+            for channel in noted:  # what had arrived before has been read by now
+                channel.send(about="noted")
             self._clock.turn()
             self._drop_strangers(lambda since: self._clock.now - since > _GREETING_SECONDS)
             if self._inquiry is not None:
@@ -213,8 +225,18 @@ class Hub:
         match message.get("about"):
             case "finished":
                 member.finished = True
+                self._compare_ends()
+            case "call":
+                self._compare(rank, message.get("number", 0), str(message.get("name")))
+            case "failed call":
+                self._to_note.append(member.channel)
+                if message.get("text") is not None:
+                    self._note_failed(rank, message.get("number", 0), str(message.get("text")))
+            case "stuck":
+                for failed, text in list(self._failed_calls.get(message.get("number", 0), {}).items())[:1]:
+                    self._blame(f"{self._members[failed].name} failed in {text}", is_final=True)
             case "failure":
-                self._blame(f"{member.name} {message.get('text')}", is_final=True)
+                self._blame(f"{member.name} {message.get('text')}", True, bool(message.get("is_hang")))
             case "error":
                 self._ask_all(rank, bool(message.get("is_late")), message.get("exchange", -1))
             case "goes on":
@@ -222,7 +244,57 @@ class Hub:
             case "answer" if self._inquiry is not None and message.get("number") == self._inquiry.number:
                 self._inquiry.answers[rank] = message
 
-    def _blame(self, verdict: str, is_final: bool) -> None:
+    def _compare(self, rank: int, number: int, name: str) -> None:
+        """Compares a rank's call with those of the same number of other ranks."""
+        self._members[rank].calls, self._members[rank].call = number, name
+        first, expected, count = self._calls.pop(number, (rank, name, 0))
+        if name != expected:
+            theirs = f"{self._members[first].name} calls {expected}"
+            self._blame(f"{self._members[rank].name} calls {name} where {theirs} (call {number})", is_final=True)
+        if count + 1 < self._size:
+            self._calls[number] = first, expected, count + 1
+        self._compare_ends()
+        for failed in list(self._failed_calls):
+            self._settle(failed)
+
+    def _compare_ends(self) -> None:
+        """Blames a rank that has finished and made fewer calls than another."""
+        if not self._calls:
+            return
+        number = max(self._calls)
+        first, name, _ = self._calls[number]
+        for rank, member in self._members.items():
+            if member.finished and member.calls < number:
+                theirs = f"{self._members[first].name} calls {name} (call {number})"
+                self._blame(f"{self._end_of(rank)}, after {member.calls} calls, where {theirs}", is_final=True)
+
+    def _end_of(self, rank: int) -> str:
+        """Says that a rank has ended, and of which error in a call, if it was one."""
+        errors = [texts[rank] for texts in self._failed_calls.values() if rank in texts]
+        return f"rank {rank} has ended early" + (f": it failed in {errors[-1]}" if errors else "")
+
+    def _note_failed(self, rank: int, number: int, text: str) -> None:
+        """A call has failed on a rank, perhaps not on all: those that wait in it must not do so for ever."""
+        self._failed_calls.setdefault(number, {})[rank] = f"{self._members[rank].call}: {text}"
+        for other, member in self._members.items():
+            if other not in self._failed_calls[number]:
+                member.channel.send(about="failed call", number=number)
+        self._settle(number)
+
+    def _settle(self, number: int) -> None:
+        """Lets ranks on which a call has failed go on, once no rank is in it."""
+        failed = self._failed_calls[number]
+        if all(member.finished or member.calls > number or rank in failed for rank, member in self._members.items()):
+            del self._failed_calls[number]
+            for member in self._members.values():
+                member.channel.send(about="settled", number=number)
+
+    def repeat_verdict(self) -> None:
+        """Prints a verdict again, below what has been printed meanwhile."""
+        if self._verdict is not None:
+            _tell(self._verdict)
+
+    def _blame(self, verdict: str, is_final: bool, is_hang: bool = False) -> None:
         """The first verdict holds: later failures follow from it."""
         if self._verdict is not None:
             return
@@ -231,7 +303,7 @@ class Hub:
         # Printed here, because launchers end all ranks as soon as one has died.
         _tell(verdict)
         for member in self._members.values():
-            member.channel.send(about="verdict", text=verdict, is_final=is_final)
+            member.channel.send(about="verdict", text=verdict, is_final=is_final, is_hang=is_hang)
 
     def _withdraw(self, name: str) -> None:
         """Ranks that were late go on, after the job was suspended for example."""
@@ -269,7 +341,7 @@ class Hub:
         made = {rank: answer.get("exchanges", 0) for rank, answer in inquiry.answers.items()}
         reached = max(made.get(asker, 0) for asker in inquiry.askers)
         behind = [rank for rank in sorted(made) if inquiry.is_late and made[rank] < reached]
-        finished = [f"rank {rank} has ended early" for rank, member in self._members.items() if member.finished]
+        finished = [self._end_of(rank) for rank, member in self._members.items() if member.finished]
         suspects = {rank: made.get(rank) for rank in [*behind, *silent]}
         blamed = [rank for rank in suspects if inquiry.suspects.get(rank, -1) == suspects[rank]]
         if finished:
@@ -278,7 +350,7 @@ class Hub:
             why = {rank: f"hangs in {inquiry.answers[rank].get('activity')}" for rank in behind}
             stopped = "does not answer: stopped, or busy"
             self._blame(
-                _list([f"{self._members[rank].name} {why.get(rank, stopped)}" for rank in blamed]), is_final=False
+                _list([f"{self._members[rank].name} {why.get(rank, stopped)}" for rank in blamed]), False, is_hang=True
             )
         elif suspects:
             again = self._clock.now + _SECOND_LOOK_SECONDS

@@ -104,7 +104,7 @@ class RankSteps(ReplayedSteps[M, C, G]):
     def _wait(self, replay: Replay[T], index: int) -> T | None:
         """What a replay committed, watched by the guard; None if it did not."""
         comm = self._rank.comm
-        with comm.guard.waiting("step", for_gpu=comm.goes_with_the_stream):
+        with comm.guard.waiting("step"):
             return replay.read(index)
 
     def _needs_eager_step(self, step: C, enqueued: int) -> bool:

@@ -18,6 +18,7 @@ from pgccd.distributed.comm.exchange import Columns, first_row
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.comm.peer_memory import RowsOfRanks
 from pgccd.distributed.detection.share import Share, search_share
+from pgccd.distributed.guard import collective
 from pgccd.distributed.halo.migrate import count_leaving
 from pgccd.distributed.halo.sizes import HaloSizes
 from pgccd.distributed.launch.agreement import require_agreement
@@ -157,9 +158,11 @@ class CapturedWorld(RankSteps[WorldStep, _Committed, "_WorldGraph"]):
             raise ValueError("graph: steps that are resolved cannot be replayed; leave it out, they run eagerly")
         graph = not resolve and can_replay(world.comm, world.id.device) if graph is None else graph
         super().__init__(world._rank, graph)
+        self.comm = world.comm
         self._world, self._motion, self._response = world, motion, response
         self._resolve, self._movable = resolve, movable
 
+    @collective
     def run(self, steps: int) -> list[WorldStep]:
         """Runs steps. Afterwards `world` is in the final state, and each body is on its owner.
 

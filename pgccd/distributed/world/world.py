@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import replace
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import Any, Generic, Literal, Never, TypeVar, Unpack, overload
@@ -27,6 +28,7 @@ from pgccd.distributed.detection.options import SearchOptions
 from pgccd.distributed.detection.report import earliest_for_all, tell_owners
 from pgccd.distributed.detection.segments import Segments
 from pgccd.distributed.detection.share import Share
+from pgccd.distributed.guard import collective
 from pgccd.distributed.halo.migrate import Census, migrate
 from pgccd.distributed.halo.vertices import Vertices
 from pgccd.distributed.launch.agreement import agree_on_step, together
@@ -155,6 +157,7 @@ class World(OwnBodies, Generic[R]):
         **options: Unpack[NewWorld],
     ) -> World[Contacts | CollidingPairs]: ...
     @classmethod
+    @collective
     def create(
         cls,
         meshes: Sequence[Mesh],
@@ -273,6 +276,7 @@ class World(OwnBodies, Generic[R]):
         **options: Unpack[WorldOptions],
     ) -> World[Contacts | CollidingPairs]: ...
     @classmethod
+    @collective
     def load(
         cls,
         folder: str | PathLike[str],
@@ -319,6 +323,7 @@ class World(OwnBodies, Generic[R]):
         require_alike(comm, state, options, balance, path, ids_given=True)
         return cls._begin(comm, options, balance, path, state)
 
+    @collective
     def save(self, folder: str | PathLike[str], keep: int = KEEP) -> Path:
         """Writes a checkpoint between two steps, which `load` reads on any number of ranks. All but the newest
         checkpoints are removed once this one is complete.
@@ -358,6 +363,7 @@ class World(OwnBodies, Generic[R]):
         return self._rank.partition
 
     @partition.setter
+    @partial(collective, name="World.partition")
     def partition(self, partition: Partition) -> None:
         self._rank.partition = agreed_partition(self.comm, partition)
 
@@ -383,6 +389,7 @@ class World(OwnBodies, Generic[R]):
     ) -> WorldResolution[M]: ...
     @overload
     def step(self, motion: Trajectory, *, resolve: Literal[True], movable: Movable = None) -> TrajectoryResolution: ...
+    @collective
     def step(
         self,
         motion: RigidMotion | VertexMotion | Trajectory,
@@ -502,6 +509,7 @@ class World(OwnBodies, Generic[R]):
         self.found, self._seconds, self.steps_made = share, clock.work, self.steps_made + 1
         return share
 
+    @collective
     def move(self, position: Tensor, **payload: Tensor) -> None:
         """Sets the positions of the bodies; those in cells of other ranks migrate there, with their payload.
 
@@ -524,6 +532,7 @@ class World(OwnBodies, Generic[R]):
             self._vertices = Vertices(self._vertices.columns | of_vertices, self._vertices.count)
         self._change_hands()
 
+    @collective
     def add(self, position: Tensor, **bodies: Unpack[NewBodies]) -> Tensor:
         """Adds bodies between two steps, which migrate to their owners. All ranks call it, each with any share of the
         new bodies, or none (0 rows). Steps are then those of a world made with all these bodies.
@@ -550,6 +559,7 @@ class World(OwnBodies, Generic[R]):
         self._become(state)
         return new
 
+    @collective
     def remove(self, ids: Tensor) -> None:
         """Removes bodies between two steps. All ranks call it; the bodies whose ids any rank passes are removed. Their
         ids are not used again.
@@ -574,6 +584,7 @@ class World(OwnBodies, Generic[R]):
         self.census = Census.of_ranks(self.comm, self.id)
         self._migrate()
 
+    @collective
     def loads(self) -> Tensor:
         """(ranks,) int64: the predicted cost of each rank in the last step, the same on all ranks."""
         if self.found is None:

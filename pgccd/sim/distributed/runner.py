@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from pgccd.distributed.checkpoint.reading import load_share, open_stored
 from pgccd.distributed.checkpoint.shared_folder import hold_together
 from pgccd.distributed.checkpoint.writing import CheckpointWriter
 from pgccd.distributed.comm.interface import Comm
+from pgccd.distributed.guard import collective
 from pgccd.distributed.launch.agreement import on_first, require_agreement, together
 from pgccd.distributed.partition.balance import BalanceOptions
 from pgccd.distributed.partition.cut import DEFAULT_AXES, DEFAULT_CELLS, Cut
@@ -57,6 +59,7 @@ class DistributedOptions:
     overlap: bool = True
 
 
+@partial(collective, name="sim.distributed.run")
 def run(
     comm: Comm,
     config: ModelConfig,
@@ -114,6 +117,7 @@ def run(
         return _continue(simulation, 0, steps, folder, checkpoint_every, progress, keep_steps, keep)
 
 
+@partial(collective, name="sim.distributed.resume")
 def resume(
     comm: Comm,
     folder: str | Path,

@@ -17,6 +17,7 @@ from pgccd.distributed.comm.exchange import Columns, take_rows
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.detection.options import SearchOptions
 from pgccd.distributed.detection.share import Share, search_share
+from pgccd.distributed.guard import collective
 from pgccd.distributed.halo.migrate import Census, count_leaving, id_range, migrate
 from pgccd.distributed.halo.sizes import HaloSizes
 from pgccd.distributed.partition.balance import BalanceOptions, RankLoads
@@ -136,6 +137,7 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
         self._notes = torch.zeros(2, dtype=torch.int64, device=model.device)
 
     @classmethod
+    @collective
     def create(
         cls,
         comm: Comm,
@@ -200,6 +202,7 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
     def partition(self, partition: Partition) -> None:
         self.state, self._rank.partition = self.state, partition
 
+    @collective
     def verify(self) -> None:
         """Checks that every robot is on exactly one rank.
 
@@ -208,6 +211,7 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
         """
         Census.of_ranks(self.comm, self.state.id).require(self._expected)
 
+    @collective
     def step(self, index: int, stop: bool = False, more: int = 0) -> RankStep | CommittedRankStep:
         """Moves the robots by one step.
 
