@@ -336,7 +336,9 @@ class Mesh:
         Example:
             >>> again = pgccd.Mesh.from_state_dict(rock.state_dict())
         """
-        arguments.entries(state, (*_STATE, *_OF_FILE))
+        if isinstance(state, dict):
+            state = {"unit": None, **state}  # which former states lack
+        arguments.entries(state, (*_STATE, *_OF_FILE, "unit"))
         points = _as_array(state["vertices"], np.float64, "vertices")
         triangles = _as_array(state["faces"], np.int64, "faces")
         _check_faces(points, triangles)
@@ -347,7 +349,6 @@ class Mesh:
         mesh._prepare(points, triangles, *places)  # type: ignore[arg-type]
         for name in ("welded_vertices", "dropped_faces"):
             setattr(mesh, name, arguments.integer(state[name], name, 0, "a number >= 0"))
-        state = {"unit": None} | state  # which former states lack
         for name, allowed in (("name", str), ("unit", float), ("source_vertex", Tensor), ("source_face", Tensor)):
             if not isinstance(state[name], (allowed, type(None))):
                 raise TypeError(f"{name}: expected {allowed.__name__} or None, got {arguments.describe(state[name])}")

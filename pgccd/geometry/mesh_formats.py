@@ -75,36 +75,27 @@ _INDEX_TYPES = {5121: "<u1", 5123: "<u2", 5125: "<u4"}
 
 
 def gltf_of_triangles(path: Path) -> bytes | None:
-    """A glTF file as GLB in which strips and fans are triangles, and points and lines beside triangles are left out.
-    None if it has none of these: readers leave them out without a word.
+    """A glTF file as GLB in which strips and fans are triangles, and points and lines of meshes that have triangles are
+    left out, which draw the edges of these. None if it has none of them.
 
     Raises:
         ValueError, OSError: a buffer is missing.
     """
     content, buffers = _gltf_parts(path)
-    meshes = content.get("meshes", [])
-    primitives = [primitive for mesh in meshes for primitive in mesh["primitives"]]
-    modes = [primitive.get("mode", _TRIANGLES) for primitive in primitives]
-    if not any(mode in (_STRIP, _FAN) for mode in modes) and (min(modes, default=4) >= 4 or max(modes, default=0) < 4):
-        return None
-    for mesh in meshes:
-        kept = [each for each in mesh["primitives"] if each.get("mode", _TRIANGLES) >= _TRIANGLES]
-        for primitive in kept:
+    is_changed = False
+    for mesh in content.get("meshes", []):
+        surfaces = [each for each in mesh["primitives"] if each.get("mode", _TRIANGLES) >= _TRIANGLES]
+        if surfaces and len(surfaces) < len(mesh["primitives"]):
+            mesh["primitives"], is_changed = surfaces, True
+        for primitive in surfaces:
             mode = primitive.get("mode", _TRIANGLES)
             if mode != _TRIANGLES:
                 rows = _gltf_indices(content, buffers, primitive)
                 primitive |= {"mode": _TRIANGLES, "indices": len(content["accessors"])}
                 _add_indices(content, buffers, _fan(rows) if mode == _FAN else _strip(rows))
-        mesh["primitives"] = kept
-    # Nodes without a mesh keep their numbers.
-    empty = {number for number, mesh in enumerate(meshes) if not mesh["primitives"]}
-    place = {number: k for k, number in enumerate(n for n in range(len(meshes)) if n not in empty)}
-    content["meshes"] = [mesh for mesh in meshes if mesh["primitives"]]
-    for node in content.get("nodes", []):
-        if "mesh" in node:
-            number = node.pop("mesh")
-            if number in place:
-                node["mesh"] = place[number]
+                is_changed = True
+    if not is_changed:
+        return None
     return _glb(content, buffers)
 
 

@@ -79,8 +79,12 @@ def read_polygons(path: Path) -> PolygonFile | None:
 
 def require_convex_polygons(collada: bytes) -> None:
     """Raises ValueError if a polygon of a Collada file is not convex: its readers fill the notches."""
-    import collada as pycollada
-
+    if not any(word in collada for word in (b"<polylist", b"<polygons", b":polylist", b":polygons")):
+        return
+    try:
+        import collada as pycollada
+    except ImportError as error:
+        raise ImportError("No module named 'pycollada'") from error
     for geometry in pycollada.Collada(io.BytesIO(collada_without_looks(collada))).geometries:
         for primitives in geometry.primitives:
             if not isinstance(primitives, pycollada.polylist.Polylist) or primitives.vertex is None:
