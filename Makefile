@@ -1,10 +1,13 @@
-# `make demo` and `make test` work on a fresh machine: they first set up .venv (see bootstrap.py) and compile.
+# `make demo` and `make test` work on a fresh machine: they first set up .venv (see bootstrap.py) and compile. What other
+# targets need besides is installed when they are made.
 
 PYTHON ?= python3
 VENV_PYTHON := .venv/bin/python
 # A stamp file per step, so that it runs again only when its inputs have changed.
 ENVIRONMENT := .venv/pgccd-environment
 EXTENSION := build/pgccd-extension
+# Packages for what is to be made: downloaded while the extension is compiled for the first time.
+PURPOSES := $(filter test docs lint wheel bench-peers,$(MAKECMDGOALS)) $(if $(filter sanitize,$(MAKECMDGOALS)),test)
 # The extension depends on PGCCD_CUDA: a new value makes a new file.
 CUDA_SETTING := build/pgccd-cuda-$(or $(PGCCD_CUDA),auto)
 # Includes folders, so that a removed source triggers a rebuild too.
@@ -27,22 +30,22 @@ SANITIZED = tests/kernels/test_rows.py tests/detection/test_search_in_parts.py t
 demo: $(EXTENSION)
 	$(VENV_PYTHON) -m pgccd simulate --robots 10000 --steps 20 --world random --out out/demo --overwrite
 
-test: $(EXTENSION)
+test: $(EXTENSION) .venv/pgccd-for-test
 	$(VENV_PYTHON) -m pytest -q $(PARALLEL)
 
 # The site. It runs the examples; warnings are errors.
-docs: $(EXTENSION)
+docs: $(EXTENSION) .venv/pgccd-for-docs
 	rm -rf docs/tutorials out/docs
 	$(VENV_PYTHON) -m sphinx -W --keep-going -q -b html -d build/docs docs out/docs
 	@echo "site: out/docs/index.html"
 
-sanitize: $(EXTENSION)
+sanitize: $(EXTENSION) .venv/pgccd-for-test
 	for tool in memcheck racecheck initcheck; do \
 		PYTORCH_NO_CUDA_MEMORY_CACHING=1 compute-sanitizer --tool $$tool --error-exitcode 1 \
 			$(VENV_PYTHON) -m pytest -q $(SANITIZED) || exit; \
 	done
 
-lint: $(ENVIRONMENT)
+lint: $(ENVIRONMENT) .venv/pgccd-for-lint
 	$(VENV_PYTHON) -m ruff check .
 	$(VENV_PYTHON) -m ruff format --check .
 	$(CPP_FILES) | xargs -r $(VENV_PYTHON) -c 'import clang_format; clang_format.clang_format()' --dry-run -Werror
@@ -51,7 +54,7 @@ lint: $(ENVIRONMENT)
 bench: $(EXTENSION)
 	for script in figure4 figure5 figure6 ablations plots; do $(VENV_PYTHON) bench/$$script.py || exit; done
 
-bench-peers: $(EXTENSION)
+bench-peers: $(EXTENSION) .venv/pgccd-for-bench-peers
 	$(VENV_PYTHON) bench/peers.py
 	$(VENV_PYTHON) bench/plots.py
 
@@ -59,7 +62,7 @@ build: $(ENVIRONMENT)
 	$(VENV_PYTHON) setup.py --quiet build_ext --inplace
 	@touch $(EXTENSION)
 
-wheel: $(ENVIRONMENT)
+wheel: $(ENVIRONMENT) .venv/pgccd-for-wheel
 	$(VENV_PYTHON) -m build_support.wheel
 
 clean:
@@ -70,8 +73,14 @@ $(CUDA_SETTING):
 	@mkdir -p build && rm -f build/pgccd-cuda-* && touch $@
 
 $(ENVIRONMENT): bootstrap.py pyproject.toml $(CUDA_SETTING)
-	$(PYTHON) bootstrap.py
-	@touch $@ $(EXTENSION)
+	@mkdir -p build && touch build/began
+	$(PYTHON) bootstrap.py $(PURPOSES)
+	@touch -r build/began $@  # so that the extension is newer if it has been compiled
+
+# Order only: a new environment does not make the packages of purposes outdated.
+.venv/pgccd-for-%: pyproject.toml | $(ENVIRONMENT)
+	$(PYTHON) bootstrap.py $*
+	@touch $@
 
 $(EXTENSION): $(ENVIRONMENT) $(EXTENSION_INPUTS)
 	$(VENV_PYTHON) setup.py --quiet build_ext --inplace

@@ -1,8 +1,11 @@
-"""Prepares .venv to build, run and test pgccd: `make demo` and `make test` run it once. Standard library only.
+"""Prepares .venv to build and run pgccd, and for what make is asked to do. Standard library only.
 
-With a network it installs torch, the packages named in pyproject.toml and, where there is a GPU, a CUDA compiler. If
-the Python that runs it already has torch, that torch is used and never replaced. Without a network, missing packages
-are skipped. An existing .venv is kept.
+    python3 bootstrap.py [PURPOSE ...]    purposes: test, docs, lint, wheel, bench-peers
+
+With a network it installs torch, what building, pgccd itself and the pictures of `make demo` need, where there is a GPU
+a CUDA compiler, and for each purpose its packages of pyproject.toml. If the Python that runs it already has torch, that
+torch is used and never replaced. Without a network, missing packages are skipped. An existing .venv is kept, and pgccd
+is compiled unless it has been. For each purpose it leaves the file .venv/pgccd-for-PURPOSE.
 
 Environment: PGCCD_CUDA=auto|0|1 as in build_support/extensions.py. auto, the default, installs a CUDA compiler only
 where torch sees a GPU and no nvcc is found; 1 installs it wherever none is found, and fails without.
@@ -14,6 +17,7 @@ if sys.version_info < (3, 11):  # noqa: UP036 (said before an import fails)
     raise SystemExit(f"pgccd needs Python 3.11 or later; {sys.executable} is {sys.version.split()[0]}: set PYTHON=...")
 
 import concurrent.futures
+import fcntl
 import functools
 import json
 import os
@@ -26,11 +30,21 @@ from typing import Any
 ROOT = Path(__file__).resolve().parent
 VENV = ROOT / ".venv"
 VENV_PYTHON = VENV / "bin" / "python"
+EXTENSION = ROOT / "build" / "pgccd-extension"  # make's stamp
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 # Without torch, which must fit what is there.
 REQUIREMENTS = [*PROJECT["build-system"]["requires"], *PROJECT["project"]["dependencies"]]
 REQUIREMENTS = [requirement for requirement in REQUIREMENTS if not requirement.startswith("torch>")]
-EXTRAS = [requirement for extra in PROJECT["project"]["optional-dependencies"].values() for requirement in extra]
+EXTRAS = PROJECT["project"]["optional-dependencies"]
+# Extras by purpose; those of `make demo` are always installed.
+DEMO = ["viz"]
+PURPOSES = {
+    "test": ["mesh", "viz", "live", "robots", "mpi", "test"],
+    "docs": ["docs"],
+    "lint": ["lint"],
+    "wheel": ["wheel"],
+    "bench-peers": ["peers", "mesh", "viz"],
+}
 
 TORCH = "torch==2.13.0"  # built for CUDA 13.0, as the compiler in pyproject.toml
 OLDEST_TORCH = (2, 11)
@@ -44,6 +58,12 @@ print(json.dumps({"version": str(torch.__version__), "cuda": torch.version.cuda,
 PRINT_SITE_DIRECTORIES = """
 import json, sys
 print(json.dumps([entry for entry in sys.path if entry.endswith(("site-packages", "dist-packages"))]))
+"""
+PRINT_FILE_OF_PACKAGE = """
+import importlib.util, json, os
+os.chdir("/")
+found = importlib.util.find_spec("pgccd")
+print(json.dumps(found and found.origin))
 """
 PRINT_CUDA_TOOLKIT = """
 import json, sys
@@ -66,25 +86,50 @@ print(json.dumps([text for text in sys.argv[1:] if not is_met(text)]))
 """
 
 
-def main() -> None:
+def main(purposes: list[str]) -> None:
     os.chdir(ROOT)
     setting = os.environ.get("PGCCD_CUDA", "auto")
     if setting not in ("auto", "0", "1"):
         raise SystemExit(f"PGCCD_CUDA={setting}: expected auto, 0 or 1")
+    if unknown := sorted(set(purposes) - set(PURPOSES)):
+        raise SystemExit(f"bootstrap: expected purposes among {', '.join(PURPOSES)}, got {', '.join(unknown)}")
+    Path("build").mkdir(exist_ok=True)
+    with open("build/bootstrap.lock", "w") as lock:  # make may ask for several purposes at a time
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        prepare(setting, purposes)
+
+
+def prepare(setting: str, purposes: list[str]) -> None:
     create_environment()
     torch = install_torch()
     install_packages(torch["version"], REQUIREMENTS)
     if torch["cuda"] is not None and setting != "0":
         install_cuda_compiler(torch["cuda"], has_gpu=torch["gpus"] > 0, is_forced=setting == "1")
+    extras = [requirement for extra in packages_of(purposes) for requirement in EXTRAS[extra]]
     # compat: a path in a .pth file. Type checkers and editors cannot resolve the import hooks of the other modes.
     options = ["--no-index", "--no-build-isolation", "--no-deps", "--config-settings=editable_mode=compat"]
     # Other packages are downloaded while compilers run.
     with concurrent.futures.ThreadPoolExecutor() as beside:
-        extras = beside.submit(install_packages, torch["version"], EXTRAS)
-        is_compiled = install("pgccd, compiled in place", *options, "--editable", ".")
-        extras.result()
-    if not is_compiled:
-        raise SystemExit("bootstrap: pgccd could not be compiled")
+        others = beside.submit(install_packages, torch["version"], extras)
+        if not is_installed():
+            if not install("pgccd, compiled in place", *options, "--editable", "."):
+                raise SystemExit("bootstrap: pgccd could not be compiled")
+            EXTENSION.touch()
+        others.result()
+    for purpose in purposes:
+        (VENV / f"pgccd-for-{purpose}").touch()
+
+
+def packages_of(purposes: list[str]) -> list[str]:
+    """The extras to install."""
+    return [*DEMO, *(extra for purpose in purposes for extra in PURPOSES[purpose])]
+
+
+def is_installed() -> bool:
+    """Whether pgccd has been compiled and installed in place: make compiles it again where that is needed."""
+    return ask(VENV_PYTHON, PRINT_FILE_OF_PACKAGE) == str(ROOT / "pgccd" / "__init__.py") and bool(
+        list((ROOT / "pgccd").glob("_C*.so")) and list((ROOT / "pgccd").glob("_host*.so"))
+    )
 
 
 def create_environment() -> None:
@@ -178,4 +223,4 @@ def say(message: str) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])

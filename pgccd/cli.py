@@ -400,6 +400,9 @@ def _robot(options: argparse.Namespace, device: torch.device) -> tuple[pgccd.Sce
         robot = _ROBOTS[Path(file).suffix](file)
     except (OSError, ValueError) as error:
         raise ArgumentError("MESH", str(error).removeprefix("path: ")) from error
+    if robot.untested and not options.quiet:
+        pairs = ", ".join(f"{a} - {b} ({why})" for a, b, why in robot.untested)
+        print(f"untested pairs of links: {pairs}", file=sys.stderr)
     obstacles = pgccd.robots.Obstacles(_load_meshes(others, "MESH") or []) if others else None
     q = torch.zeros((2, robot.joint_count), dtype=torch.float64)
     if options.motion is not None:

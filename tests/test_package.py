@@ -38,6 +38,56 @@ except AttributeError as error:
     assert json.loads(done.stdout) == [[], later, "module 'pgccd' has no attribute 'simulation'"]
 
 
+def test_first_calls_load_no_more_than_they_need(tmp_path: Path) -> None:
+    """One process calls every public function; none loads what costs more time than the call."""
+    program = f"""
+import json, sys
+import torch, pgccd
+from pgccd import distributed, files, sim
+scene = pgccd.Scene([pgccd.Mesh.box([1.0, 1.0, 1.0])], [0, 0])
+x, v = torch.tensor([[0.0, 0, 0], [3.0, 0.1, 0.2]]), torch.tensor([[0.0, 0, 0], [-4.0, 0, 0]])
+q = torch.tensor([[1.0, 0, 0, 0]] * 2)
+motion = pgccd.RigidMotion.from_velocity(x, q, v, 0.1 * v, 1.0)
+path = pgccd.Trajectory(torch.stack([x, x + v]), torch.stack([q, q]))
+wanting = pgccd.RigidMotion(x.double().requires_grad_(), q.double(), (x + v).double(), q.double())
+world = lambda: distributed.World.create([pgccd.Mesh.box([1.0, 1.0, 1.0])], (0,) * 3, (6,) * 3, x.double() + 1.0)
+calls = {{
+    **{{report: lambda r=report: pgccd.detect(scene, motion, r) for report in ("any", "first", "all", "earliest")}},
+    "trajectory": lambda: pgccd.detect(scene, path),
+    "capacity": lambda: pgccd.detect(scene, motion, capacity=pgccd.Capacity.of(9)).trim(),
+    "approaching": lambda: pgccd.detect(scene, motion, normals="surface").approaching().approach,
+    "gradients": lambda: pgccd.detect(scene, wanting).toi.sum().backward(),
+    "captured": lambda: pgccd.CapturedDetection(scene, motion, capacity=pgccd.Capacity.of(9))(motion),
+    "resolve": lambda: pgccd.resolve(scene, motion),
+    "resolve a trajectory": lambda: pgccd.resolve(scene, path),
+    "distance": lambda: pgccd.distance(scene, motion, cutoff=1.0),
+    "enclosed": lambda: pgccd.enclosed(scene, motion),
+    "audit": lambda: pgccd.audit(scene, path),
+    "at": lambda: (motion.at(torch.tensor([0.5])), motion.shortened(torch.tensor([0.5, 1.0]))),
+    "orientation": lambda: pgccd.integrate_orientation(q, v),
+    "elementary": lambda: pgccd.narrow.vertex_face(torch.rand(2, 4, 3), torch.rand(2, 4, 3)),
+    "state": lambda: pgccd.Scene.from_state_dict(scene.state_dict()).to("cpu"),
+    "world": lambda: (w := world(), w.step(motion, resolve=True), w.move(w.position), w.save({str(tmp_path / "w")!r})),
+    "simulation": lambda: sim.run(sim.ModelConfig(robots=20), 2, {str(tmp_path / "run")!r}),
+    "page": lambda: pgccd.show(scene, motion, path={str(tmp_path / "page.html")!r}),
+}}
+heavy = {{"sympy", "mpmath", "scipy", "trimesh", "matplotlib", "networkx", "torch._dynamo", "torch._inductor"}}
+loaded = {{}}
+for name, call in calls.items():
+    before = set(sys.modules)
+    call()
+    new = set(sys.modules) - before
+    loaded[name] = [len(new), sorted(heavy & {{".".join(each.split(".")[:n]) for each in new for n in (1, 2)}})]
+print(json.dumps(loaded))
+"""
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    for name, (count, heavy) in json.loads(done.stdout).items():
+        assert heavy == [], name
+        assert count <= {"world": 130, "simulation": 60, "page": 60}.get(name, 12), name
+
+
 def test_type_checkers_see_what_is_imported_later() -> None:
     tree = ast.parse((ROOT / "pgccd" / "__init__.py").read_text())
     guarded = [node for node in tree.body if isinstance(node, ast.If) and ast.unparse(node.test) == "_TYPE_CHECKING"]

@@ -162,6 +162,18 @@ class Stored:
             first += entry.tables[other].count
         return first
 
+    def shared_bytes(self) -> int:
+        """Size of the file of the tensors that are equal on all ranks; 0 without one.
+
+        Raises:
+            CheckpointError: it cannot be opened.
+        """
+        if self._shared is None:
+            return 0
+        path = self.folder / SHARED
+        with file_errors(path, "read"), open_regular(path) as file:
+            return os.fstat(file.fileno()).st_size
+
     def shared(self) -> dict[str, Tensor]:
         """The tensors that are equal on all ranks, with their hash checked.
 

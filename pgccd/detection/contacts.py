@@ -513,7 +513,8 @@ def _check_rows(state: dict[str, Any], scene: Scene | None) -> None:
         if name not in state:
             continue
         column = state[name]
-        sound = ((column >= low) & (column <= high)).reshape(len(column), -1).all(dim=1)
+        sound = (column >= low) & (column <= high)
+        sound = sound.all(dim=1) if sound.dim() == 2 else sound
         if not bool(sound.all()):
             row = int((~sound).long().argmax())
             raise ValueError(f"{name}: row {row}: expected numbers from {low} to {high}, got {column[row].tolist()}")

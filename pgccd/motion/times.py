@@ -36,11 +36,8 @@ def broadcast_times(
             raise ValueError(f"{name}: expected times in [0, 1], got {t}")
         return torch.full((count,), t, dtype=torch.float64, device=device)
     time = arguments.real_numbers(t, name, "times in [0, 1]", with_gradient).to(device)
-    try:
-        shape = torch.broadcast_shapes(time.shape, (count,))
-    except RuntimeError:
-        shape = torch.Size()
-    if shape[-1:] != (count,):
+    # Not torch.broadcast_shapes, which imports sympy: a second of processor time.
+    if time.shape[-1:] not in ((), (1,), (count,)):
         expected = f"a number, ({count},), (T, 1) or (T, {count})"
         raise ValueError(f"{name}: expected {expected}, got {tuple(time.shape)}; for T times of all, pass t[:, None]")
     is_inside = (time >= 0.0) & (time <= 1.0)
@@ -48,4 +45,4 @@ def broadcast_times(
         torch._assert_async(is_inside.all(), f"{name}: expected times in [0, 1]")
     elif not bool(is_inside.all()):
         raise ValueError(f"{name}: expected times in [0, 1], got {time[~is_inside][0].item()}")
-    return time.expand(shape)
+    return time.expand(*time.shape[:-1], count)

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import IntEnum
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
+
+if TYPE_CHECKING:
+    from pgccd.robots.robot import Robot
 
 
 class Verdict(IntEnum):
@@ -19,7 +23,8 @@ class Verdict(IntEnum):
             surfaces touch.
         START: a pair touches at the first waypoint.
         INVALID: the value of a joint is not finite or larger than 1e6, a link turns by more than 1e4 radians between
-            two waypoints (all joints added), or the pose of an obstacle is invalid.
+            two waypoints (all joints added), the pose of an obstacle is invalid, or the robot may leave the square in
+            place of an infinite plane of its file.
     """
 
     FREE = 0
@@ -42,6 +47,8 @@ class Certificate:
         links: (B, 2) int64: what meets there: a link, or -1 - k for obstacle k; the number of links where nothing does.
         point: (B, 3) float64, world frame: where they meet; nan if nothing does.
         link_names: names of the robot's links.
+        untested: `Robot.untested`: pairs of links of which nothing is said. Those that samples left out are counted in
+            the `repr`, since they may touch in other configurations.
         steps: number of steps that were tested, the segments and the parts into which they were split.
         searches: number of calls of `pgccd.detect` in sequence.
 
@@ -58,11 +65,12 @@ class Certificate:
     links: Tensor
     point: Tensor
     link_names: list[str] = field(default_factory=list)
+    untested: list[tuple[str, str, str]] = field(default_factory=list)
     steps: int = 0
     searches: int = 0
 
     @classmethod
-    def _without_contact(cls, environments: int, link_names: list[str], device: torch.device) -> Certificate:
+    def _without_contact(cls, environments: int, robot: Robot, device: torch.device) -> Certificate:
         """A result in which nothing has been found, to be filled by the search before it is returned."""
 
         def filled(value: float, *shape: int, dtype: torch.dtype = torch.float64) -> Tensor:
@@ -73,9 +81,10 @@ class Certificate:
             time=filled(torch.inf),
             segment=filled(-1, dtype=torch.int64),
             toi=filled(torch.inf),
-            links=filled(len(link_names), 2, dtype=torch.int64),
+            links=filled(len(robot.link_names), 2, dtype=torch.int64),
             point=filled(torch.nan, 3),
-            link_names=link_names,
+            link_names=robot.link_names,
+            untested=robot.untested,
         )
 
     @property
@@ -106,4 +115,6 @@ class Certificate:
 
     def __repr__(self) -> str:
         counts = [f"{v.name.lower()}={n}" for v in Verdict if (n := int((self.verdict == int(v)).sum()))]
+        if sampled := sum(why.startswith("sampled") for _, _, why in self.untested):
+            counts.append(f"untested_sampled={sampled}")
         return f"Certificate({', '.join([f'environments={len(self)}', *counts])})"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,6 @@ import numpy as np
 from pgccd import arguments
 from pgccd.robots import shapes
 from pgccd.robots.kinematics import Joint, Tree, turned
-from pgccd.robots.links import adjacent_links
 from pgccd.robots.robot import Robot, robot_of_file
 from pgccd.robots.shapes import ThickSurface
 
@@ -24,17 +24,27 @@ def load_mjcf(path: str | PathLike[str]) -> Robot:
 
     Boxes and meshes are taken as they are (MuJoCo itself takes the convex hulls of meshes). Cylinders and ellipsoids
     are polyhedra around them, at most 0.13 % and 0.8 % larger; spheres are exact to 1e-9 of their radius, capsules to
-    rounding; height fields are open surfaces; planes without a size are 2,000 length units wide. Geoms with contype and
-    conaffinity zero are left out, other values are not looked at. Not tested are pairs of bodies that are rigidly
-    joined or joined by one joint, over bodies without geoms too, and those that elements `exclude` name; geoms of the
-    world are tested against all bodies that move.
+    rounding; height fields are solids with their base. Planes are infinite, whatever their size: in their place are
+    squares of twice the robot's reach and distance at least, and a configuration in which the robot may leave them is
+    invalid.
+
+    Tested are the pairs of geoms of different bodies that MuJoCo tests: not those of bodies that are rigidly joined;
+    nor of a body and its parent, both with all that is rigidly joined to them, unless that is the world or the flag
+    `filterparent` is disabled; nor those that `contype` and `conaffinity` or elements `exclude` leave out; but all that
+    elements `pair` name, unless no joint moves them. Bodies without geoms count as parents too. Geoms whose contype and
+    conaffinity are zero are left out, unless a `pair` names them; obstacles are tested against all others. See
+    `Robot.untested`; a warning names pairs that are tested and touch in the model's initial configuration.
+
+    A joint that an `equality` ties to another one by a linear `polycoef` has no value of its own. Constraints that are
+    not active are left out. Tendons without an `equality` exert forces only, and are not read.
 
     Args:
         path: of the MJCF file.
 
     Raises:
         FileNotFoundError: it does not exist.
-        ValueError: it cannot be read; or a joint is free or a ball, or a geom an SDF; naming it.
+        ValueError: it cannot be read; or a joint is free or a ball, a geom an SDF; or there is a flex, or a constraint
+            that ties joints in another way, tendons, or bodies that move; naming it.
         ImportError: mujoco (extra `robots`) is not installed.
 
     Example:
@@ -46,11 +56,33 @@ def load_mjcf(path: str | PathLike[str]) -> Robot:
     if not path.is_file():
         raise FileNotFoundError(f"path: {path}: no such file")
     mujoco, model = _compiled(path)
+    follows = _followed_joints(mujoco, model, path)
     joints = [Joint("", "fixed", -1, np.zeros(3), _UPRIGHT, _X)]
     # By body its frame, and where the body's own frame is in it: joints may be elsewhere than the body's frame.
     frame, shift = [0], [np.zeros(3)]
     names: list[str] = []
     limits: list[tuple[float, float]] = []
+    neutral: list[float] = []
+    # A joint's value, from the initial one, is scale * q[coordinate] + offset.
+    values: dict[int, tuple[int, float, float]] = {}
+    for k in range(model.njnt):
+        if k not in follows:
+            initial = float(model.qpos0[model.jnt_qposadr[k]])
+            values[k] = (len(neutral), 1.0, -initial)
+            neutral.append(initial)
+    for k in range(model.njnt):
+        chain, at_joint = [], k
+        while at_joint in follows:
+            if at_joint in chain:
+                raise ValueError(
+                    f"path: {path}: joint {_name(model.joint(k))!r}: equality constraints tie it to itself"
+                )
+            chain.append(at_joint)
+            at_joint = follows[at_joint][0]
+        for each in reversed(chain):
+            leader, constant, factor = follows[each]
+            coordinate, scale, offset = values[leader]
+            values[each] = (coordinate, factor * scale, constant + factor * offset)
     for body in range(1, model.nbody):
         parent = int(model.body_parentid[body])
         at = model.body_pos[body] + shift[parent]
@@ -70,31 +102,86 @@ def load_mjcf(path: str | PathLike[str]) -> Robot:
                 raise ValueError(f"path: {path}: joint {name!r}: expected {what}{fixed}")
             anchor = model.jnt_pos[k].copy()
             revolute = kind == mujoco.mjtJoint.mjJNT_HINGE
-            offset = -float(model.qpos0[model.jnt_qposadr[k]])
             at = at + turned(_unit(turn), anchor - place)
             axis = model.jnt_axis[k] / np.linalg.norm(model.jnt_axis[k])
             what = "revolute" if revolute else "prismatic"
-            joints.append(Joint(name, what, last, at, _unit(turn), axis, len(names), 1.0, offset))  # type: ignore[arg-type]
+            joints.append(Joint(name, what, last, at, _unit(turn), axis, *values[k]))  # type: ignore[arg-type]
             last, at, turn, place = len(joints) - 1, np.zeros(3), _UPRIGHT, anchor
+            if k in follows:
+                continue
             names.append(name)
             low, high = model.jnt_range[k].tolist() if model.jnt_limited[k] else (-np.inf, np.inf)
             limits.append((low, high))
         frame.append(last)
         shift.append(-place)
+    pairs = {frozenset(pair) for pair in zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True)}
+    in_pairs = {geom for pair in pairs for geom in pair}
     surfaces: list[list[ThickSurface]] = [[] for _ in range(model.nbody)]
     for k in range(model.ngeom):
-        if model.geom_contype[k] or model.geom_conaffinity[k]:
+        bits = (int(model.geom_contype[k]), int(model.geom_conaffinity[k]))
+        if any(bits) or k in in_pairs:
             body = int(model.geom_bodyid[k])
             placed = surface_of_geom(mujoco, model, k, path).placed(model.geom_pos[k], _unit(model.geom_quat[k]))
-            surfaces[body].append(placed.placed(shift[body], _UPRIGHT))
+            # What is filtered alike is one body.
+            group = (*bits, k) if k in in_pairs else bits
+            surfaces[body].append(replace(placed.placed(shift[body], _UPRIGHT), group=group))
     labels = [model.body(body).name or f"body {body}" for body in range(model.nbody)]
     links = list(zip(labels, frame, surfaces, strict=True))
-    tree = Tree(joints)
-    # The world has no neighbours: its geoms are obstacles.
-    excluded = adjacent_links(tree, [(f, bool(s) and body > 0) for body, (_, f, s) in enumerate(links)])
-    for signature in model.exclude_signature.tolist():
-        excluded.append((signature >> 16, signature & 0xFFFF))
-    return robot_of_file(path, model_name(model, path), tree, links, names, limits, excluded)
+    weld = model.body_weldid.tolist()
+    weld_parent = [weld[model.body_parentid[body]] for body in weld]
+    filters_parents = not int(model.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)
+    excluded = {(signature >> 16, signature & 0xFFFF) for signature in model.exclude_signature.tolist()}
+
+    def why_untested(i: int, of_i: tuple[int, ...], j: int, of_j: tuple[int, ...]) -> str | None:
+        if frozenset((*of_i[2:], *of_j[2:])) in pairs:
+            return None
+        if weld[i] == weld[j]:
+            return "adjacent"
+        if filters_parents and weld[i] and weld[j] and (weld[i] == weld_parent[j] or weld[j] == weld_parent[i]):
+            return "adjacent"
+        meet = of_i[0] & of_j[1] or of_j[0] & of_i[1]
+        return None if meet and (i, j) not in excluded else "file"
+
+    return robot_of_file(path, neutral, model_name(model, path), Tree(joints), links, names, limits, why_untested)
+
+
+def _followed_joints(mujoco: Any, model: Any, path: Path) -> dict[int, tuple[int, float, float]]:
+    """By joint the one that it follows, with a constant and a factor, both of values from the initial ones on.
+
+    Raises:
+        ValueError: a constraint is of another kind, or there is a flex.
+    """
+    if model.nflex:
+        raise ValueError(f"path: {path}: flex {model.flex(0).name!r}: expected bodies that do not deform")
+    kinds, found = mujoco.mjtEq, {}
+    for k in range(model.neq):
+        if not model.eq_active0[k]:
+            continue
+        kind = kinds(int(model.eq_type[k]))
+        one, other = int(model.eq_obj1id[k]), int(model.eq_obj2id[k])
+        name = model.equality(k).name or f"number {k}"
+        where = f"path: {path}: equality {name!r}"
+        if kind == kinds.mjEQ_JOINT:
+            constant, factor, *higher = model.eq_data[k, :5].tolist()
+            of = f"{where} of joint {_name(model.joint(one))!r}"
+            if other < 0 or any(higher):
+                what = "another joint, by a polycoef of two terms"
+                raise ValueError(f"{of}: expected {what}, got {model.eq_data[k, :5].tolist()}")
+            if one in found:
+                raise ValueError(f"{of}: another one ties it already")
+            found[one] = (other, constant, factor)
+            continue
+        if kind in (kinds.mjEQ_CONNECT, kinds.mjEQ_WELD):
+            is_of_sites = int(model.eq_objtype[k]) == int(mujoco.mjtObj.mjOBJ_SITE)
+            bodies = [int(model.site_bodyid[each]) if is_of_sites else each for each in (one, other)]
+            if not any(model.body_weldid[body] for body in bodies):
+                continue  # both are fixed
+        raise ValueError(f"{where}: expected one of joints, got {kind.name[5:].lower()}")
+    return found
+
+
+def _name(joint: Any) -> str:
+    return joint.name or f"number {joint.id}"
 
 
 def model_name(model: Any, path: Path) -> str:
@@ -129,7 +216,7 @@ def surface_of_geom(mujoco: Any, model: Any, k: int, path: Path) -> ThickSurface
     if kind == kinds.mjGEOM_ELLIPSOID:
         return shapes.ellipsoid(size)
     if kind == kinds.mjGEOM_PLANE:
-        return shapes.plane(float(size[0]), float(size[1]))
+        return shapes.infinite_plane()  # its size is that of its picture
     if kind == kinds.mjGEOM_MESH:
         vertex, face = int(model.mesh_vertadr[data]), int(model.mesh_faceadr[data])
         vertices = model.mesh_vert[vertex : vertex + int(model.mesh_vertnum[data])].astype(np.float64)
@@ -137,9 +224,9 @@ def surface_of_geom(mujoco: Any, model: Any, k: int, path: Path) -> ThickSurface
         return ThickSurface(vertices, faces)
     if kind == kinds.mjGEOM_HFIELD:
         rows, columns = int(model.hfield_nrow[data]), int(model.hfield_ncol[data])
-        begin, (x, y, height, _) = int(model.hfield_adr[data]), model.hfield_size[data].tolist()
+        begin, (x, y, height, base) = int(model.hfield_adr[data]), model.hfield_size[data].tolist()
         heights = model.hfield_data[begin : begin + rows * columns].reshape(rows, columns).astype(np.float64)
-        return shapes.height_field(heights * height, x, y)
+        return shapes.height_field(heights * height, x, y, base)
     name = model.geom(k).name or f"number {k}"
     raise ValueError(f"path: {path}: geom {name!r}: expected a shape of known surface, got {kind.name[7:].lower()}")
 

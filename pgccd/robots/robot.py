@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import copy
+import math
+import warnings
 from collections.abc import Callable, Iterable, Sequence
 from itertools import combinations
 from pathlib import Path
@@ -19,9 +21,9 @@ from pgccd.geometry.mesh import Mesh
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion
 from pgccd.motion.trajectory import Trajectory
-from pgccd.robots.kinematics import Poses, Tree
+from pgccd.robots.kinematics import Joint, Poses, Tree
 from pgccd.robots.obstacles import Obstacles
-from pgccd.robots.shapes import ThickSurface, joined
+from pgccd.robots.shapes import PLANE, ThickSurface, joined
 from pgccd.robots.stray import MOST_TURN, Chains, pose_error, stray_bound, turns
 
 if TYPE_CHECKING:
@@ -29,6 +31,8 @@ if TYPE_CHECKING:
 
 #: Larger values of joints, radians or length units, have no poses.
 LARGEST_VALUE = 1e6
+#: The reason why surfaces of links i and j, of the groups that the reader gave them, are never tested, or None.
+WhyUntested = Callable[[int, tuple[int, ...], int, tuple[int, ...]], str | None]
 # Configurations tested in one call.
 _SAMPLES_AT_ONCE = 2000
 
@@ -38,7 +42,8 @@ class Robot:
     `load_urdf` and `load_mjcf`.
 
     A link is one body, whose mesh has its origin at the link's joint; one with spheres or capsules of several radii is
-    one body a radius, since the radius is the body's margin. Links without collision surfaces have no body.
+    one body a radius, since the radius is the body's margin. Links without collision surfaces have no body. Infinite
+    planes are bodies of their own: squares that no part of the robot can leave within the limits.
 
     Attributes:
         name: of the robot, as in the file.
@@ -51,8 +56,12 @@ class Robot:
         margin: (N,) float64, thickness of each body.
         moves: (N,) bool: whether joints move the body.
         exclude: (E, 2) int64: pairs of bodies that are never tested.
+        untested: why: the names of two links, and a reason, of each pair of links whose bodies are never tested against
+            each other: "both fixed" (no joint moves them), "adjacent" (joined; see the reader of the file), "file" (the
+            file excludes the pair), "sampled" (`excluding_sampled`), "asked" (`excluding`). Where that holds for some
+            of the bodies only, the reason ends in ", in part".
         reach: length: no point of the robot is further from its base, in any configuration within the limits; of
-            prismatic joints without limits within 1 length unit of 0.
+            prismatic joints without limits within 1 length unit of 0. Without infinite planes.
 
     Example:
         >>> robot = pgccd.robots.load_urdf("arm.urdf")
@@ -68,23 +77,33 @@ class Robot:
         links: Sequence[tuple[str, int, Sequence[ThickSurface]]],
         joint_names: Sequence[str],
         limits: Sequence[tuple[float, float]],
-        excluded_links: Iterable[tuple[int, int]],
+        why_untested: WhyUntested,
     ) -> None:
         """
         Args:
             tree: the joints.
             links: name, frame and surfaces, in the frame, of each.
             joint_names, limits: of each entry of a configuration.
-            excluded_links: pairs of links that are never tested.
+            why_untested: the reason why surfaces of two links are never tested, or None; of links that joints move.
         """
         self.name, self.joint_names = name, list(joint_names)
         self.lower, self.upper = torch.tensor(limits, dtype=torch.float64).reshape(-1, 2).unbind(1)
         self.link_names = [link for link, _, _ in links]
         self._tree = tree
-        meshes, owners, frames, margins = [], [], [], []
+        lengths = {frame: self._length(tree.chains[frame]) for _, frame, _ in links}
+        all_surfaces = [(lengths[frame], surface) for _, frame, surfaces in links for surface in surfaces]
+        self.reach = max((length + each.reach for length, each in all_surfaces if not each.infinite), default=PLANE)
+        away = [length + float(np.linalg.norm(each.centre)) for length, each in all_surfaces if each.infinite]
+        # Half the side of the squares in place of infinite planes, and by how much all joints together may slide before
+        # a body may be beside one.
+        slides = sum(self._slide(joint) for joint in tree.joints)
+        half = max(PLANE, 2.0 * (self.reach + slides + max(away, default=0.0)))
+        self._room = half - self.reach - max(away) if away else np.inf
+        meshes, owners, frames, margins, groups = [], [], [], [], []
         for number, (link, frame, surfaces) in enumerate(links):
-            for thickness in sorted({surface.thickness for surface in surfaces}):
-                surface = joined([each for each in surfaces if each.thickness == thickness])
+            for kind in sorted({(each.infinite, each.thickness, each.group) for each in surfaces}):
+                alike = [each for each in surfaces if (each.infinite, each.thickness, each.group) == kind]
+                surface = joined([each.widened(half) if each.infinite else each for each in alike])
                 try:
                     mesh = Mesh(surface.vertices, surface.faces)
                 except ValueError as error:
@@ -93,7 +112,8 @@ class Robot:
                 meshes.append(mesh)
                 owners.append(number)
                 frames.append(frame)
-                margins.append(thickness)
+                margins.append(kind[1])
+                groups.append(kind[2])
         if not meshes:
             raise ValueError(f"robot {name!r} has no collision surfaces")
         self.meshes = meshes
@@ -104,12 +124,12 @@ class Robot:
         self._chains: dict[torch.device, Chains] = {}
         chains = [tree.chains[frame] for frame in frames]
         self.moves = torch.tensor([any(tree.joints[k].kind != "fixed" for k in chain) for chain in chains])
-        self.exclude = torch.zeros((0, 2), dtype=torch.int64)
-        self._exclude_links(excluded_links)
-        self.reach = max(
-            self._length(chain) + mesh.reach + thickness
-            for chain, mesh, thickness in zip(chains, meshes, margins, strict=True)
-        )
+        moves = self.moves.tolist()
+        self._why_untested: dict[tuple[int, int], str] = {}
+        for i, j in combinations(range(len(meshes)), 2):
+            reason = why_untested(owners[i], groups[i], owners[j], groups[j]) if moves[i] or moves[j] else "both fixed"
+            if owners[i] == owners[j] or reason is not None:
+                self._why_untested[i, j] = reason or ""
 
     @property
     def joint_count(self) -> int:
@@ -122,26 +142,40 @@ class Robot:
         return len(self.meshes)
 
     def _length(self, chain: Sequence[int]) -> float:
-        length = 0.0
-        for k in chain[1:]:
-            joint = self._tree.joints[k]
-            length += self._tree.distances[k]
-            if joint.kind == "prismatic":
-                ends = (float(self.lower[joint.coordinate]), float(self.upper[joint.coordinate]))
-                length += max(abs(joint.scale * (q if np.isfinite(q) else 1.0) + joint.offset) for q in ends)
-        return length
+        return sum(self._tree.distances[k] + self._slide(self._tree.joints[k]) for k in chain[1:])
 
-    def _exclude_links(self, links: Iterable[tuple[int, int]]) -> None:
-        """Adds pairs of links, those of the bodies of each link, and of bodies that no joint moves."""
-        left_out = {tuple(sorted(pair)) for pair in links}
-        owner, moves = self.body_link.tolist(), self.moves.tolist()
-        pairs = [
-            [i, j]
-            for i, j in combinations(range(self.body_count), 2)
-            if owner[i] == owner[j] or tuple(sorted((owner[i], owner[j]))) in left_out or not (moves[i] or moves[j])
-        ]
-        both = torch.cat([self.exclude, torch.tensor(pairs, dtype=torch.int64).reshape(-1, 2)])
-        self.exclude = torch.unique(both, dim=0)
+    def _slide(self, joint: Joint) -> float:
+        """How far a prismatic joint slides at most; zero for others."""
+        if joint.kind != "prismatic":
+            return 0.0
+        ends = (float(self.lower[joint.coordinate]), float(self.upper[joint.coordinate]))
+        return max(abs(joint.scale * (q if np.isfinite(q) else 1.0) + joint.offset) for q in ends)
+
+    def _may_leave(self, q: Tensor) -> Tensor:
+        """(...): whether in configurations (..., J) a body may be beside the square in place of an infinite plane."""
+        slides = torch.zeros_like(q[..., :1].sum(dim=-1))
+        for joint in self._tree.joints:
+            if joint.kind == "prismatic":
+                slides = slides + (joint.scale * q[..., joint.coordinate] + joint.offset).abs()
+        return slides > self._room
+
+    @property
+    def exclude(self) -> Tensor:
+        return torch.tensor(sorted(self._why_untested), dtype=torch.int64).reshape(-1, 2)
+
+    @property
+    def untested(self) -> list[tuple[str, str, str]]:
+        owner = self.body_link.tolist()
+        reasons: dict[tuple[int, int], set[str | None]] = {}
+        for i, j in combinations(range(self.body_count), 2):
+            if owner[i] != owner[j]:
+                reasons.setdefault((owner[i], owner[j]), set()).add(self._why_untested.get((i, j)))
+        found = []
+        for (a, b), why in reasons.items():
+            said = sorted(reason for reason in why if reason is not None)
+            if said:
+                found.append((self.link_names[a], self.link_names[b], said[0] + (", in part" if None in why else "")))
+        return found
 
     def excluding(self, links: Iterable[tuple[str, str]]) -> Robot:
         """A robot of which these pairs of links are not tested either.
@@ -162,11 +196,15 @@ class Robot:
         for pair in given:
             if isinstance(pair, str) or not isinstance(pair, Sequence) or len(pair) != 2:
                 raise TypeError(f"{expected}, got {given!r}")
-        return self._excluding([(self._link(a), self._link(b)) for a, b in given])
+        return self._excluding([(self._link(a), self._link(b)) for a, b in given], "asked")
 
-    def _excluding(self, links: Iterable[tuple[int, int]]) -> Robot:
+    def _excluding(self, links: Iterable[tuple[int, int]], reason: str) -> Robot:
+        left_out = {frozenset(pair) for pair in links}
+        owner = self.body_link.tolist()
+        pairs = combinations(range(self.body_count), 2)
+        added = {(i, j): reason for i, j in pairs if frozenset((owner[i], owner[j])) in left_out}
         other = copy.copy(self)
-        other._exclude_links(links)
+        other._why_untested = added | self._why_untested
         return other
 
     def _link(self, name: str) -> int:
@@ -209,7 +247,7 @@ class Robot:
             once = torch.unique((sample * count + of_links[:, 0]) * count + of_links[:, 1])
             times += torch.bincount(once % (count * count), minlength=count * count)
         always = torch.nonzero(times >= share * samples).flatten().tolist()
-        return self._excluding([(key // count, key % count) for key in always])
+        return self._excluding([(key // count, key % count) for key in always], "sampled")
 
     def _sampling_limits(self) -> tuple[Tensor, Tensor]:
         low, high = self.lower.clone(), self.upper.clone()
@@ -230,7 +268,8 @@ class Robot:
 
         Returns:
             Positions (..., N, 3) and orientations (..., N, 4), unit quaternions (w, x, y, z), body to world; nan where
-            the value of a joint is not finite or larger than 1e6. If q requires grad, then so do they; a
+            the value of a joint is not finite or larger than 1e6, or the robot may leave the square in place of an
+            infinite plane. If q requires grad, then so do they; a
             `pgccd.Trajectory` of them has contacts with gradients.
 
         Raises:
@@ -240,9 +279,11 @@ class Robot:
             >>> position, orientation = robot.poses(torch.zeros(robot.joint_count))
         """
         q = self._configurations(q, "q")
-        found = self._tree.forward(q.reshape(-1, self.joint_count))
+        found = self._tree.forward(q.reshape(math.prod(q.shape[:-1]), self.joint_count))
         shape = (*q.shape[:-1], self.body_count)
         x, r = self._of_bodies(found)
+        if np.isfinite(self._room):
+            x = torch.where(self._may_leave(q).reshape(-1, 1, 1), torch.nan, x)
         return x.reshape(*shape, 3), r.reshape(*shape, 4)
 
     def _of_bodies(self, poses: Poses) -> tuple[Tensor, Tensor]:
@@ -302,7 +343,8 @@ class Robot:
 
         Raises:
             TypeError, ValueError: q has another type or shape or requires grad, or a joint has a value larger than 1e6;
-                or links turn by more than a radian between two waypoints, the turns of all joints added.
+                or the robot may leave the square in place of an infinite plane; or links turn by more than a radian
+                between two waypoints, the turns of all joints added.
 
         Example:
             >>> path = robot.trajectory(torch.linspace(0, 1, 20)[:, None].expand(20, robot.joint_count))
@@ -315,6 +357,11 @@ class Robot:
         if not bool((largest <= LARGEST_VALUE).all()):
             waypoint = int((~(largest <= LARGEST_VALUE)).long().argmax())
             expected = f"joint values of at most {LARGEST_VALUE:g}"
+            raise ValueError(f"q: waypoint {waypoint}: expected {expected}, got {q[waypoint].tolist()}")
+        leaves = self._may_leave(q)
+        if bool(leaves.any()):
+            waypoint = int(leaves.long().argmax())
+            expected = f"joints that slide by at most {self._room:g}, added, since the robot has an infinite plane"
             raise ValueError(f"q: waypoint {waypoint}: expected {expected}, got {q[waypoint].tolist()}")
         turn = turns(self._chains_on(q.device), q[1:] - q[:-1])
         if not bool((turn <= MOST_TURN).all()):
@@ -405,18 +452,29 @@ class Robot:
         return is_valid
 
     def __repr__(self) -> str:
-        return (
-            f"Robot({self.name!r}, joints={self.joint_count}, links={len(self.link_names)}, bodies={self.body_count})"
-        )
+        counts = f"joints={self.joint_count}, links={len(self.link_names)}, bodies={self.body_count}"
+        return f"Robot({self.name!r}, {counts}, untested pairs={len(self.untested)})"
 
 
-def robot_of_file(path: Path, *parts: Any) -> Robot:
-    """A robot of these parts, as `Robot` takes them, from a file.
+def robot_of_file(path: Path, neutral: Sequence[float], *parts: Any) -> Robot:
+    """A robot of these parts, as `Robot` takes them, from a file. Warns of pairs of links that are tested and touch in
+    the `neutral` configuration (J,).
 
     Raises:
         ValueError: naming the file.
     """
     try:
-        return Robot(*parts)
+        robot = Robot(*parts)
     except ValueError as error:
         raise ValueError(f"path: {path}: {error}") from error
+    x, r = robot.poses(torch.tensor(neutral, dtype=torch.float64).reshape(-1))
+    touching = robot.body_link[detect(robot.scene(), RigidMotion.at_rest(x, r), "any").pairs]
+    if len(touching):
+        links = torch.unique(touching.sort(dim=1).values, dim=0).tolist()
+        pairs = [(robot.link_names[a], robot.link_names[b]) for a, b in links]
+        warnings.warn(
+            f"{path}: links touch in the neutral configuration, so that no path through it is free. If their surfaces "
+            f"overlap by design: robot = robot.excluding({pairs})",
+            stacklevel=3,
+        )
+    return robot

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,8 +13,8 @@ from pgccd.robots.kinematics import turned
 _SECTIONS, _SUBDIVISIONS = 64, 3
 # Size of the triangle at the centre of a sphere, in radii.
 _POINT = 2.0**-30
-#: Half the side of a plane without a size, length units.
-PLANE = 1000.0
+#: Half the side of the square in place of an infinite plane, at least; length units.
+PLANE = 1e4
 
 
 @dataclass(frozen=True)
@@ -25,15 +25,42 @@ class ThickSurface:
         vertices: (V, 3).
         faces: (F, 3) int64.
         thickness: length.
+        infinite: whether it is a square in place of an infinite plane, which is to be `widened`.
+        group: surfaces of a link with different groups are different bodies.
     """
 
     vertices: np.ndarray
     faces: np.ndarray
     thickness: float = 0.0
+    infinite: bool = False
+    group: tuple[int, ...] = ()
 
     def placed(self, position: np.ndarray, orientation: np.ndarray) -> ThickSurface:
         """At a position (3,), turned by a unit quaternion (4,)."""
-        return ThickSurface(turned(orientation, self.vertices) + position, self.faces, self.thickness)
+        return replace(self, vertices=turned(orientation, self.vertices) + position)
+
+    def thickened(self, thickness: float) -> ThickSurface:
+        """By a length more."""
+        return replace(self, thickness=self.thickness + thickness)
+
+    def scaled(self, scale: np.ndarray) -> ThickSurface:
+        """With coordinates multiplied by factors (3,). Mirrored triangles keep their outside."""
+        faces = self.faces[:, ::-1] if np.prod(np.sign(scale)) < 0.0 else self.faces
+        return replace(self, vertices=self.vertices * scale, faces=np.ascontiguousarray(faces))
+
+    def widened(self, half: float) -> ThickSurface:
+        """With half the side of a square of 2 PLANE, in place of an infinite plane, as given."""
+        return replace(self, vertices=self.centre + (self.vertices - self.centre) * (half / PLANE))
+
+    @property
+    def centre(self) -> np.ndarray:
+        """(3,): the mean of the vertices."""
+        return self.vertices.mean(axis=0)
+
+    @property
+    def reach(self) -> float:
+        """Bound of the distance of its points from the origin."""
+        return float(np.linalg.norm(self.vertices, axis=1).max()) * (1.0 + 2.0**-50) + self.thickness
 
 
 def box(size: np.ndarray) -> ThickSurface:
@@ -71,15 +98,24 @@ def ellipsoid(radii: np.ndarray) -> ThickSurface:
     return ThickSurface(vertices * (radii / inner), faces)
 
 
-def plane(half_x: float, half_y: float) -> ThickSurface:
-    """A rectangle in the plane z = 0; without a size in one direction, 2,000 length units long there."""
-    x, y = half_x or PLANE, half_y or PLANE
-    corners = np.array([[-x, -y, 0.0], [x, -y, 0.0], [x, y, 0.0], [-x, y, 0.0]])
-    return ThickSurface(corners, np.array([[0, 1, 2], [0, 2, 3]]))
+def rectangle(half_x: float, half_y: float) -> ThickSurface:
+    """In the plane z = 0."""
+    corners = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
+    return ThickSurface(corners * [half_x, half_y, 0.0], np.array([[0, 1, 2], [0, 2, 3]]))
 
 
-def height_field(heights: np.ndarray, half_x: float, half_y: float) -> ThickSurface:
-    """An open surface over a rectangle from -half_x to half_x and -half_y to half_y.
+def infinite_plane(normal: np.ndarray | None = None) -> ThickSurface:
+    """A square in the plane through the origin with a unit normal (3,), by default z."""
+    z = np.array([0.0, 0.0, 1.0]) if normal is None else normal
+    x = np.cross(np.eye(3)[np.abs(z).argmin()], z)
+    x /= np.linalg.norm(x)
+    square = rectangle(PLANE, PLANE)
+    return replace(square, vertices=square.vertices @ np.stack([x, np.cross(z, x), z]), infinite=True)
+
+
+def height_field(heights: np.ndarray, half_x: float, half_y: float, base: float) -> ThickSurface:
+    """The surface of a solid from z = -base up to heights over a rectangle from -half_x to half_x and -half_y to
+    half_y.
 
     Args:
         heights: (rows, columns), rows along y, columns along x.
@@ -88,14 +124,22 @@ def height_field(heights: np.ndarray, half_x: float, half_y: float) -> ThickSurf
     x, y = np.meshgrid(np.linspace(-half_x, half_x, columns), np.linspace(-half_y, half_y, rows))
     number = np.arange(rows * columns).reshape(rows, columns)
     a, b, c, d = (number[i : rows - 1 + i, j : columns - 1 + j].ravel() for i, j in ((0, 0), (0, 1), (1, 1), (1, 0)))
-    faces = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
-    return ThickSurface(np.stack([x, y, heights], axis=2).reshape(-1, 3), faces)
+    top = np.stack([x, y, heights], axis=2).reshape(-1, 3)
+    # The border, counter-clockwise seen from above, and below it that of the base with a point in its middle.
+    border = np.concatenate([number[0, :-1], number[:-1, -1], number[-1, :0:-1], number[:0:-1, 0]])
+    below = len(top) + np.arange(len(border))
+    middle = np.full_like(border, len(top) + len(border))
+    after, after_below = np.roll(border, -1), np.roll(below, -1)
+    triangles = [(a, b, c), (a, c, d), (border, below, after_below), (border, after_below, after)]
+    faces = np.concatenate([np.stack(each, axis=1) for each in [*triangles, (middle, after_below, below)]])
+    bottom = np.concatenate([top[border], np.zeros((1, 3))])
+    bottom[:, 2] = -base
+    return ThickSurface(np.concatenate([top, bottom]), faces)
 
 
 def joined(surfaces: list[ThickSurface]) -> ThickSurface:
-    """Surfaces of equal thickness as one."""
+    """Surfaces of equal thickness as one; all of infinite planes or none."""
     first = np.cumsum([0, *(len(each.vertices) for each in surfaces[:-1])])
     faces = [each.faces + begin for each, begin in zip(surfaces, first, strict=True)]
-    return ThickSurface(
-        np.concatenate([each.vertices for each in surfaces]), np.concatenate(faces), surfaces[0].thickness
-    )
+    vertices = np.concatenate([each.vertices for each in surfaces])
+    return replace(surfaces[0], vertices=vertices, faces=np.concatenate(faces))

@@ -39,12 +39,19 @@ def load_urdf(
     """A robot from a URDF file: one body a link with collision geometry, its origin at the link's joint.
 
     Meshes and boxes are taken as they are. Cylinders are prisms around the cylinder, at most 0.13 % thicker; spheres
-    are exact to 1e-9 of their radius. Not tested are pairs of links that are rigidly joined or joined by one joint,
-    over links without geometry too, and those that the SRDF file disables; see also `Robot.excluding_sampled`.
+    are exact to 1e-9 of their radius.
+
+    Not tested are pairs of links that are rigidly joined, neighbours, and those that the SRDF file disables; see also
+    `Robot.untested` and `Robot.excluding_sampled`. The neighbour of a link is the first link with geometry above its
+    last moving joint, over links without geometry. Links that are rigidly joined have the same neighbours, but of those
+    that are fixed to the root only that first link is one: a wall that is fixed to the same root as an arm is tested
+    against it. A warning names pairs that are tested and touch where all joints are 0 (or at the limit that is nearest
+    to 0).
 
     Args:
         path: of the URDF file.
-        srdf: an SRDF file, of which the elements disable_collisions are read.
+        srdf: an SRDF file, of which the elements disable_collisions, enable_collisions and disable_default_collisions
+            are read.
         packages: folders by name, for files given as package://name/file or model://name/file. Default: the folder of
             that name, or the file, is looked for in all folders above that of the URDF file.
         base_position, base_orientation: pose of the root link in the world: (3,), and a unit quaternion (w, x, y, z).
@@ -89,10 +96,17 @@ def load_urdf(
         links.append((link.name, frame[link.name], surfaces))
     tree = Tree(joints)
     number = {link.name: index for index, link in enumerate(description.links)}
-    excluded = adjacent_links(tree, [(at, bool(surfaces)) for _, at, surfaces in links])
+    adjacent = adjacent_links(tree, [(at, bool(surfaces)) for _, at, surfaces in links])
+    why = dict.fromkeys(adjacent, "adjacent")
     if srdf is not None:
-        excluded += _disabled(arguments.path(srdf, "srdf"), number)
-    return robot_of_file(path, description.name, tree, links, names, limits, excluded)
+        disabled, enabled = _collisions(arguments.path(srdf, "srdf"), number)
+        why = {pair: why.get(pair, "file") for pair in (why.keys() | disabled) - enabled}
+
+    def why_untested(i: int, _: tuple[int, ...], j: int, __: tuple[int, ...]) -> str | None:
+        return why.get((i, j))
+
+    neutral = [min(max(0.0, low), high) for low, high in limits]
+    return robot_of_file(path, neutral, description.name, tree, links, names, limits, why_untested)
 
 
 def _parsed(path: Path) -> Any:
@@ -219,8 +233,8 @@ def _file(name: str, path: Path, packages: Mapping[str, str | PathLike[str]]) ->
     raise ValueError(f"{name} is in no folder above {path.parent}: pass packages={{{package!r}: folder}}")
 
 
-def _disabled(path: Path, number: Mapping[str, int]) -> list[tuple[int, int]]:
-    """The pairs of links that an SRDF file disables."""
+def _collisions(path: Path, number: Mapping[str, int]) -> tuple[set[tuple[int, int]], set[tuple[int, int]]]:
+    """The pairs of links (i, j), i < j, that an SRDF file disables, and those that it enables."""
     if not path.is_file():
         raise FileNotFoundError(f"srdf: {path}: no such file")
     try:
@@ -229,14 +243,23 @@ def _disabled(path: Path, number: Mapping[str, int]) -> list[tuple[int, int]]:
         raise ValueError(f"srdf: {path} cannot be read as XML: {error}") from error
     if root.find("link") is not None:
         raise ValueError(f"srdf: {path} is a URDF file: it has links of its own")
-    pairs = []
-    for element in root.iter("disable_collisions"):
-        links = [element.get(name) or "" for name in ("link1", "link2")]
+
+    def links_of(element: ElementTree.Element, *names: str) -> list[int]:
+        links = [element.get(name) or "" for name in names]
         for link in links:
             if link not in number:
-                raise ValueError(f"srdf: {path}: disable_collisions: the robot has no link {link!r}")
-        pairs.append((number[links[0]], number[links[1]]))
-    return pairs
+                raise ValueError(f"srdf: {path}: {element.tag}: the robot has no link {link!r}")
+        return [number[link] for link in links]
+
+    def pairs(tag: str) -> set[tuple[int, int]]:
+        found = (links_of(element, "link1", "link2") for element in root.iter(tag))
+        return {(min(links), max(links)) for links in found}
+
+    enabled, disabled = pairs("enable_collisions"), pairs("disable_collisions")
+    for element in root.iter("disable_default_collisions"):
+        (link,) = links_of(element, "link")
+        disabled |= {(min(link, other), max(link, other)) for other in number.values() if other != link} - enabled
+    return disabled, enabled - disabled
 
 
 def _numbers(values: Sequence[float], name: str) -> np.ndarray:

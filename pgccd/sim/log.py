@@ -134,9 +134,7 @@ def iterate_log(folder: Path, with_ranks: bool = True) -> Iterator[dict[str, Any
     path, last = folder / LOG_FILE, -1
     try:
         with open_regular(path) as file:
-            while line := file.readline(_LONGEST_LINE):
-                if len(line) == _LONGEST_LINE:
-                    raise _too_long()
+            while line := _line(file):
                 if not with_ranks and (cut := line.find(_RANKS)) >= 0:
                     line = line[:cut] + b"}"
                 record = _record(line)
@@ -149,6 +147,26 @@ def iterate_log(folder: Path, with_ranks: bool = True) -> Iterator[dict[str, Any
         raise ValueError(one_line(f"{path} cannot be read: {error.strerror or error}")) from error
 
 
+def _line(file: BufferedReader) -> bytes:
+    """The next line; empty at the end."""
+    parts, length = [], 0
+    while part := file.readline(_BLOCK):
+        _require_text(part)
+        parts.append(part)
+        length += len(part)
+        if length >= _LONGEST_LINE:
+            raise _too_long()
+        if part.endswith(b"\n"):
+            break
+    return b"".join(parts)
+
+
+def _require_text(block: bytes) -> None:
+    """Refuses holes in a file, whose end may be far away. After a crash a file may end in fewer zeros."""
+    if len(block) == _BLOCK and not block.strip(b"\0"):
+        raise OSError(errno.EINVAL, "it has holes")
+
+
 def _lines_from_end(file: BufferedReader) -> Iterator[tuple[bytes, int]]:
     """The lines from the last one on, and the place after each. What follows the last newline is none."""
     end = begin = file.seek(0, os.SEEK_END)
@@ -157,7 +175,9 @@ def _lines_from_end(file: BufferedReader) -> Iterator[tuple[bytes, int]]:
     while begin > 0:
         before, begin = begin, max(0, begin - _BLOCK)
         file.seek(begin)
-        tail = file.read(before - begin) + tail
+        block = file.read(before - begin)
+        _require_text(block)
+        tail = block + tail
         while (newline := tail.rfind(b"\n", 0, len(tail) - is_whole)) >= 0:
             if is_whole:
                 yield tail[newline + 1 :], end

@@ -19,7 +19,8 @@ class Newton:
 
     Shapes of all worlds are tested against those of their world; for shapes that belong to no world there is a body in
     each. Not tested are shapes of one body, and the model's `shape_collision_filter_pairs`; collision groups are not
-    looked at. Shapes that belong to no body are static.
+    looked at. Shapes that belong to no body are static. Shapes are thickened by their `shape_margin`. Planes with width
+    and length are rectangles; Newton lets other shapes touch such a plane a little beside it too.
 
     Args:
         model: a `newton.Model`.
@@ -41,22 +42,28 @@ class Newton:
         self._to_torch = warp.to_torch
         owner, world = model.shape_body.numpy(), model.shape_world.numpy()
         flags = model.shape_flags.numpy() & int(newton.ShapeFlags.COLLIDE_SHAPES)
-        columns = (model.shape_type.numpy(), model.shape_scale.numpy(), model.shape_transform.numpy())
+        columns = tuple(
+            column.numpy()
+            for column in (model.shape_type, model.shape_scale, model.shape_transform, model.shape_margin)
+        )
         worlds = np.unique(world[world >= 0]).tolist() or [0]
         rows = [(k, w) for w in worlds for k in np.flatnonzero(flags).tolist() if world[k] in (-1, w)]
         bodies = Bodies()
         for k, _ in rows:
-            kind, scale, transform = (column[k] for column in columns)
+            kind, scale, transform, margin = (column[k] for column in columns)
             source, placed = model.shape_source[k], transform.astype(np.float64)
-            key = (int(kind), scale.tobytes(), transform.tobytes(), id(source))
+            key = (int(kind), scale.tobytes(), transform.tobytes(), float(margin), id(source))
             bodies.add(
                 str(model.shape_label[k]),
                 key,
-                lambda kind=kind, scale=scale, source=source, placed=placed: _surface(  # type: ignore[misc]
-                    newton.GeoType(int(kind)).name, scale.astype(np.float64), source
-                ).placed(placed[:3], _wxyz(placed[3:])),
+                lambda kind=kind, scale=scale, source=source, placed=placed, margin=margin: (  # type: ignore[misc]
+                    _surface(newton.GeoType(int(kind)).name, scale.astype(np.float64), source)
+                    .placed(placed[:3], _wxyz(placed[3:]))
+                    .thickened(float(margin))
+                ),
+                int(owner[k]),
             )
-        self.names = bodies.names
+        self.names, self._bodies = bodies.names, bodies
         self.shapes = np.array([k for k, _ in rows])
         place = {row: number for number, row in enumerate(rows)}
         filtered = {(int(a), int(b)) for a, b in model.shape_collision_filter_pairs}
@@ -68,17 +75,23 @@ class Newton:
         # A body after the last one, for shapes that belong to none.
         body = np.where(owner[self.shapes] < 0, model.body_count, owner[self.shapes])
         self._body = torch.from_numpy(body.astype(np.int64)).to(device)
-        static = torch.from_numpy(owner[self.shapes] < 0).to(device)
         of_world = torch.tensor([w for _, w in rows], device=device)
-        self.scene = bodies.scene(device, np.array(exclude), static=static, world=of_world)
+        static = owner[self.shapes] < 0
+        self.scene = bodies.scene(lambda: self._poses(model), device, np.array(exclude), static, world=of_world)
 
     def frame(self, state: Any) -> tuple[Tensor, Tensor]:
         """Positions (N, 3) and orientations (N, 4) of the bodies now, float32, from a view of the state's memory.
-        Nothing is checked.
+        If there are infinite planes, synchronises with a GPU.
 
         Args:
             state: the `newton.State`.
+
+        Raises:
+            ValueError: a body is beside the square in place of an infinite plane, naming both.
         """
+        return self._bodies.checked(*self._poses(state))
+
+    def _poses(self, state: Any) -> tuple[Tensor, Tensor]:
         poses = self._to_torch(state.body_q)  # (bodies, 7): position, and orientation (x, y, z, w)
         fixed = poses.new_tensor([[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]])
         poses = torch.cat([poses, fixed])[self._body]
@@ -103,8 +116,12 @@ def _surface(kind: str, scale: np.ndarray, source: Any) -> ThickSurface:
     if kind == "ELLIPSOID":
         return shapes.ellipsoid(scale)
     if kind == "PLANE":
-        return shapes.plane(0.5 * float(scale[0]), 0.5 * float(scale[1]))
+        if not scale[:2].any():
+            return shapes.infinite_plane()
+        if not scale[:2].all():
+            raise ValueError(f"expected a plane with width and length or with neither, got {scale[:2].tolist()}")
+        return shapes.rectangle(0.5 * float(scale[0]), 0.5 * float(scale[1]))
     if kind in ("MESH", "CONVEX_MESH"):
-        vertices = np.asarray(source.vertices, dtype=np.float64) * scale
-        return ThickSurface(vertices, np.asarray(source.indices, dtype=np.int64).reshape(-1, 3))
+        faces = np.asarray(source.indices, dtype=np.int64).reshape(-1, 3)
+        return ThickSurface(np.asarray(source.vertices, dtype=np.float64), faces).scaled(scale)
     raise ValueError(f"expected a shape of known surface, got {kind.lower()}")

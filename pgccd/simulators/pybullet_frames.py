@@ -14,13 +14,17 @@ from pgccd.robots import shapes
 from pgccd.robots.shapes import ThickSurface
 from pgccd.simulators.bodies import Bodies
 
+# By which PyBullet thickens hulls. It tells that of a placed hull only if the user has changed it.
+_HULL = 1e-3
+
 
 class PyBullet:
     """The collision shapes of a PyBullet world, as the bodies of a scene.
 
     Shapes of one multibody are not tested against each other, as PyBullet does by default; its other filters are not
-    looked at. Shapes of bases without mass and links are static. Height fields are not in the scene, since PyBullet
-    does not tell their shape.
+    looked at. Shapes of bases without mass and links are static. Meshes of files, which PyBullet replaces by their
+    hulls, are taken as they are. Both, and hulls of points, are thickened by their collision margin, as PyBullet does:
+    by 0.001 at least.
 
     Args:
         client: number of the physics server, as `pybullet.connect` returns it.
@@ -32,7 +36,8 @@ class PyBullet:
         links: (N) body and link of each, as PyBullet numbers them.
 
     Raises:
-        ValueError: the surface of a shape is not known, as of triangles without a file; naming it. Or there are none.
+        ValueError: the surface of a shape is not known, as of triangles without a file and of height fields, whose
+            shape PyBullet does not tell; naming it. Or there are none.
         ImportError: pybullet is not installed; or scipy, if there are hulls of points.
 
     Example:
@@ -56,8 +61,12 @@ class PyBullet:
             for link in range(-1, joints):
                 if link >= 0:
                     names[0] = pybullet.getJointInfo(body, link, physicsClientId=client)[12].decode()
-                for number, shape in enumerate(pybullet.getCollisionShapeData(body, link, physicsClientId=client)):
-                    name = f"body {body}, {names[1] or 'multibody'}, {names[0] or f'link {link}'}"
+                name = f"body {body}, {names[1] or 'multibody'}, {names[0] or f'link {link}'}"
+                found = pybullet.getCollisionShapeData(body, link, physicsClientId=client)
+                if not found and len(set(pybullet.getAABB(body, link, physicsClientId=client))) > 1:
+                    raise ValueError(f"{name}: expected shapes that PyBullet tells, got one such as a height field")
+                thickness = max(_HULL, pybullet.getDynamicsInfo(body, link, physicsClientId=client)[11])
+                for number, shape in enumerate(found):
                     # Hulls of points, as PyBullet makes of cylinders in URDF files, have no file.
                     is_hull = shape[2] == pybullet.GEOM_MESH and shape[4] in (b"", b"unknown_file")
                     points = None
@@ -65,17 +74,27 @@ class PyBullet:
                         points = pybullet.getMeshData(body, link, number, physicsClientId=client)[1]
                     bodies.add(
                         name,
-                        (*shape[2:], points),
-                        lambda shape=shape, points=points: _surface(pybullet, points, *shape[2:]),  # type: ignore[misc]
+                        (*shape[2:], points, thickness),
+                        lambda shape=shape, points=points, thickness=thickness: _surface(  # type: ignore[misc]
+                            pybullet, points, thickness, *shape[2:]
+                        ),
+                        (body, link),
                     )
                     self.links.append((body, link))
                     static.append(joints == 0 and mass == 0.0)
             exclude += combinations(range(first, len(self.links)), 2)
-        self.names = bodies.names
-        self.scene = bodies.scene(device, np.array(exclude), static=static)
+        self.names, self._bodies, self._device = bodies.names, bodies, device
+        self.scene = bodies.scene(self._poses, device, np.array(exclude), np.array(static))
 
     def frame(self) -> tuple[Tensor, Tensor]:
-        """Positions (N, 3) and orientations (N, 4) of the bodies now."""
+        """Positions (N, 3) and orientations (N, 4) of the bodies now.
+
+        Raises:
+            ValueError: a body is beside the square in place of an infinite plane, naming both.
+        """
+        return self._bodies.checked(*self._poses())
+
+    def _poses(self) -> tuple[Tensor, Tensor]:
         poses: dict[tuple[int, int], np.ndarray] = {}
         for body, link in self.links:
             if (body, link) not in poses:
@@ -86,13 +105,14 @@ class PyBullet:
                         body, link, computeForwardKinematics=1, physicsClientId=self._client
                     )[:2]
                 poses[body, link] = np.concatenate(pose)
-        rows = torch.from_numpy(np.array([poses[link] for link in self.links])).to(self.scene.device)
+        rows = torch.from_numpy(np.array([poses[link] for link in self.links])).to(self._device)
         return rows[:, :3], torch.nn.functional.normalize(rows[:, [6, 3, 4, 5]], dim=1)
 
 
 def _surface(
     bullet: Any,
     points: Any,
+    thickness: float,
     kind: int,
     size: tuple[float, ...],
     file: bytes,
@@ -109,12 +129,12 @@ def _surface(
     elif kind == bullet.GEOM_CYLINDER:
         made = shapes.cylinder(size[1], 0.5 * size[0])
     elif kind == bullet.GEOM_PLANE:
-        made = shapes.plane(0.0, 0.0)
+        made = shapes.infinite_plane(np.array(size) / np.linalg.norm(size))
     elif points:
-        return _hull(np.array(points))  # placed already
+        return _hull(np.array(points)).thickened(thickness)  # placed already
     elif kind == bullet.GEOM_MESH and points is None:
         mesh = Mesh.load(file.decode())
-        made = ThickSurface(mesh.vertices.numpy() * np.array(size), mesh.faces.long().numpy())
+        made = ThickSurface(mesh.vertices.numpy(), mesh.faces.long().numpy(), thickness).scaled(np.array(size))
     else:
         raise ValueError(f"expected a box, sphere, capsule, cylinder, plane or mesh file, got PyBullet's kind {kind}")
     q = np.array(turn)[[3, 0, 1, 2]]

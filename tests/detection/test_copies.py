@@ -44,6 +44,14 @@ def test_results(copied: Callable[[Any], Any], report: Any, device: torch.device
     }
 
 
+@pytest.mark.parametrize("report", ["any", "first"])
+def test_results_without_contacts_are_restored(report: Any, device: torch.device) -> None:
+    scene, motion = step(device)
+    hits = pgccd.detect(pgccd.Scene(scene.meshes, [0, 0, 0], device, exclude=[[0, 1], [0, 2], [1, 2]]), motion, report)
+    assert len(hits) == 0
+    assert_same(type(hits).from_state_dict(hits.state_dict()), hits)
+
+
 @pytest.mark.parametrize("copied", COPIES)
 def test_what_overflowed_or_was_invalid(copied: Callable[[Any], Any], device: torch.device) -> None:
     scene, motion = step(device)

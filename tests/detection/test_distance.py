@@ -443,3 +443,30 @@ def test_no_pairs() -> None:
     alone = pgccd.RigidMotion.at_rest(torch.zeros(1, 3), torch.tensor([UPRIGHT]))
     found = pgccd.distance(scene, alone, cutoff=1.0)
     assert len(found) == 0 and found.points.shape == (0, 2, 3) and repr(found) == "Distances(count=0, device=cpu)"
+
+
+def test_the_lower_bound_of_a_trajectory_is_the_least_of_all_segments() -> None:
+    """Where the tolerance is coarse, that of the segment with the least upper bound may be larger."""
+    differing = 0
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        place = torch.tensor(np.array([[0.0, 0, 0], [2.6, 0, 0]]) + 0.2 * rng.normal(size=(6, 2, 3)))
+        path = pgccd.Trajectory(place, torch.tensor(np.stack([unit_quaternions(rng, 2) for _ in range(6)])))
+        scene = pgccd.Scene([bumpy(rng, 1)], [0, 0])
+        found = pgccd.distance(scene, path, pairs=PAIR, tolerance=0.4)
+        parts = [pgccd.distance(scene, path.segment(k), pairs=PAIR, tolerance=0.4) for k in range(5)]
+        lower, upper = (torch.stack([getattr(part, name)[0] for part in parts]) for name in ("lower", "upper"))
+        assert found.lower.item() == lower.min() and found.upper.item() == upper.min()
+        differing += bool(lower[upper.argmin()] > lower.min())
+    assert differing > 0
+
+
+def test_a_trajectory_whose_nearest_segment_does_not_converge_says_so() -> None:
+    place = torch.zeros(3, 2, 3, dtype=torch.float64)
+    place[:, 1, 0] = torch.tensor([2.5, 2.5, 2.5])
+    turn = torch.zeros(2, 2, 3, dtype=torch.float64)
+    turn[1] = torch.tensor(3e5 * directions(np.random.default_rng(1), 2))
+    upright = torch.tensor(UPRIGHT, dtype=torch.float64).expand(2, 4).contiguous()
+    path = pgccd.Trajectory(place, upright, rotation=turn)
+    found = pgccd.distance(pgccd.Scene([tetrahedron()], [0, 0]), path, pairs=PAIR)
+    assert not found.converged.item() and found.upper - found.lower > 1e-6

@@ -122,6 +122,20 @@ def closed_over(function: Callable[..., float]) -> Callable[[float], float]:
     return lambda bodies: function(bodies, 2.0)
 
 
+def times(by: float) -> Callable[[float], float]:
+    return lambda bodies: bodies * by
+
+
+def function_with(known: dict[str, Any]) -> Callable[[Any], Any]:
+    """A function with globals of its own."""
+    known = {"__name__": "job"} | known
+    for each in known.values():
+        if callable(each):
+            each.__module__ = "job"
+    exec("def step(bodies):\n    return [helper(each) * factor for each in bodies.unused]", known)
+    return known["step"]
+
+
 def test_functions_are_compared_by_their_code() -> None:
     different: list[Callable[..., Any]] = [
         lambda bodies: bodies * 0.9,
@@ -144,12 +158,25 @@ def test_functions_are_compared_by_their_code() -> None:
         torch.nn.Linear(1, 1),
         max,
         torch.abs,
+        # What they use: values and functions in closures, defaults, arguments and globals.
+        functools.partial(scale, by=3.0),
+        times(0.5),
+        times(0.25),
+        lambda bodies, by=0.5: bodies * by,
+        lambda bodies, by=0.25: bodies * by,
+        *(function_with({"factor": factor}) for factor in (1.0, 2.0, True, (1, 2), (1, 3))),
+        *(function_with({"factor": 1.0, "helper": helper}) for helper in (times(1), times(2))),
     ]
     assert len({code.code_of(function).partition(" ")[2] for function in different}) == len(different)
-    # Equal wherever it stands, and whatever values it holds, which may differ between ranks.
+    # Equal wherever it stands, and whatever objects and texts it holds, which may differ between ranks.
     same = lambda bodies: bodies * 0.9  # noqa: E731
     assert code.code_of(same).partition(" ")[2] == code.code_of(different[0]).partition(" ")[2]
-    assert code.code_of(functools.partial(scale, by=3.0)) == code.code_of(functools.partial(scale, by=2.0))
+    for one, other in [
+        ({"factor": torch.zeros(1)}, {"factor": torch.ones(1)}),
+        ({"factor": "cuda:0"}, {"factor": "cuda:1"}),
+        ({"factor": 1.0, "unused": 1.0}, {"factor": 1.0, "unused": 2.0}),
+    ]:
+        assert code.code_of(function_with(one)) == code.code_of(function_with(other))
     assert code.code_of(Response(2.0)) == code.code_of(Response(1.0))
     # In another process, where sets of strings have another order.
     program = "import sys; sys.path.insert(0, 'tests'); from pgccd.distributed.launch import code; "

@@ -7,7 +7,7 @@ from unittest import mock
 import pytest
 import torch
 from support import ways
-from support.random_scenes import random_scene
+from support.hard_scenes import hard_scene
 from support.ranks import RankPool
 
 DEVICES = ["cpu", pytest.param("cuda", marks=pytest.mark.cuda)]
@@ -16,11 +16,11 @@ DEVICES = ["cpu", pytest.param("cuda", marks=pytest.mark.cuda)]
 @pytest.mark.parametrize("device", DEVICES)
 def test_ranks_give_the_same_bits(ranks: RankPool, device: str) -> None:
     with mock.patch.object(ways, "_all_ways", return_value=()):
-        assert not list(map(str, ways.differences(map(random_scene, range(40)), [device], ranks, 3)))
+        assert not list(map(str, ways.differences(map(hard_scene, range(40)), [device], ranks, 3)))
 
 
 def test_one_bit_is_seen(ranks: RankPool) -> None:
-    scene = random_scene(36)
+    scene = hard_scene(37)
     whole = ways.columns_of(ways.reference(scene))
     answers = [of_scenes[0] for of_scenes in ranks.run(2, ways.on_rank, [scene.seed], "cpu")]
     own, found = max(answers, key=lambda answer: len(answer[1]["pairs"]))

@@ -182,7 +182,11 @@ CHANGES: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     ),
     "another kind": (lambda index: index.update(kind="simulation"), "expected the checkpoint of a world"),
     "another hash": (lambda index: index["files"][0]["tables"]["bodies"].update(hash=1), "rows of bodies do not have"),
-    "no partition": (lambda index: index.pop("shared"), "it has no 'owner' of its partition"),
+    "no partition": (lambda index: index.pop("shared"), "cells: .* in each subdomain, more than its table of owners"),
+    "gigabytes of cells": (
+        lambda index: index["header"]["cut"].update(partition="cells", cells=4000),
+        "cells: 16000000 in each subdomain, more than its table of owners",
+    ),
 }
 
 

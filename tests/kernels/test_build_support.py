@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -43,12 +44,32 @@ def test_torch_is_never_replaced(is_reachable: bool, tmp_path: Path, monkeypatch
     monkeypatch.setattr(bootstrap, "index_is_reachable", lambda: is_reachable)
     monkeypatch.setattr(bootstrap, "install", lambda _what, *arguments: installed.extend(arguments))
     monkeypatch.setattr(bootstrap, "say", lambda _: None)
-    bootstrap.install_packages("2.13.0+cu130", bootstrap.REQUIREMENTS + bootstrap.EXTRAS)
+    bootstrap.install_packages("2.13.0+cu130", bootstrap.REQUIREMENTS + bootstrap.EXTRAS["test"])
     assert ("numpy>=1.26" in installed) == ("pytest>=8" in installed) == is_reachable
     assert not any(name.startswith("torch>") or name == "torch" for name in installed)
     if is_reachable:
         assert installed[installed.index("--constraint") + 1] == str(tmp_path / "constraints.txt")
         assert (tmp_path / "constraints.txt").read_text() == "torch==2.13.0+cu130\n"
+
+
+def test_the_demo_needs_no_packages_of_other_purposes() -> None:
+    bootstrap = load_bootstrap()
+    assert bootstrap.packages_of([]) == ["viz"]
+    others = {name for name in bootstrap.EXTRAS if name not in ("viz", "mesh", "live", "robots", "mpi")}
+    assert others == {"test", "docs", "lint", "wheel", "peers"}
+    for purpose in bootstrap.PURPOSES:
+        extras = bootstrap.packages_of([purpose])
+        assert set(extras) <= set(bootstrap.EXTRAS)
+        assert others & set(extras) == {purpose.removeprefix("bench-")}
+    needed = {re.split(r"[>=]", each)[0] for each in bootstrap.REQUIREMENTS + bootstrap.EXTRAS["viz"]}
+    assert needed == {"setuptools", "pybind11", "ninja", "numpy", "rich", "safetensors", "matplotlib"}
+
+
+def test_unknown_purposes_are_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    bootstrap = load_bootstrap()
+    monkeypatch.setattr(bootstrap, "ROOT", tmp_path)
+    with pytest.raises(SystemExit, match="expected purposes among test, .*, got tests"):
+        bootstrap.main(["tests", "lint"])
 
 
 def test_what_is_for_other_pythons_is_not_missing() -> None:
@@ -78,6 +99,7 @@ def test_compiler_is_downloaded_only_where_it_is_needed(
     monkeypatch.delenv("PGCCD_CUDA", raising=False)
     if wish is not None:
         monkeypatch.setenv("PGCCD_CUDA", wish)
-    bootstrap.main()
+    monkeypatch.setattr(bootstrap, "EXTENSION", tmp_path / "stamp")
+    bootstrap.main([])
     expected = home is None and (wish == "1" or (gpus > 0 and wish != "0"))
     assert ("the CUDA compiler" in commands) == expected and commands[-1] == "pgccd, compiled in place"

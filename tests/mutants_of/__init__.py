@@ -9,6 +9,7 @@ from mutants_of import (
     distance,
     narrow,
     ranks,
+    readers,
     search,
     separation,
     solver,
@@ -19,5 +20,20 @@ from mutants_of.mutant import Mutant
 
 __all__ = ["MUTANTS", "Mutant"]
 
-_MODULES = (arms, bounds, boxes, broad, core, distance, narrow, ranks, search, separation, solver, traverse, voxels)
+_MODULES = (
+    arms,
+    bounds,
+    boxes,
+    broad,
+    core,
+    distance,
+    narrow,
+    ranks,
+    readers,
+    search,
+    separation,
+    solver,
+    traverse,
+    voxels,
+)
 MUTANTS = [mutant for module in _MODULES for mutant in module.MUTANTS]

@@ -7,10 +7,107 @@ from mutants_of.mutant import Mutant
 STRAY = "pgccd/robots/stray.py"
 ON_STRAY = ("robots/test_stray.py",)
 SEARCH = "pgccd/robots/path_search.py"
+LINKS = "pgccd/robots/links.py"
+MJCF = "pgccd/robots/mjcf.py"
+URDF = "pgccd/robots/urdf.py"
+ON_UNTESTED = ("robots/test_untested.py",)
 ON_SEARCH = ("robots/test_certify.py",)
 NOT_ATTAINED = "a term of higher order in the turn, of which no chain is known that attains it"
 
 MUTANTS = [
+    Mutant(
+        "links-fixed-to-the-root-are-neighbours",
+        LINKS,
+        "at[above] if is_fixed else groups[rigid[above]]",
+        "groups[rigid[above]]",
+        ON_UNTESTED,
+        switched=False,
+    ),
+    Mutant(
+        "links-neighbour-alone",
+        LINKS,
+        "at[above] if is_fixed else groups[rigid[above]]",
+        "at[above]",
+        ON_UNTESTED,
+        switched=False,
+    ),
+    Mutant(
+        "links-not-over-empty-ones",
+        LINKS,
+        "while above >= 0 and above not in at:",
+        "while False:",
+        ON_UNTESTED,
+        switched=False,
+    ),
+    Mutant(
+        "links-welded-are-tested", LINKS, "pairs.update(combinations(members, 2))", "pass", ON_UNTESTED, switched=False
+    ),
+    Mutant(
+        "links-covers-are-tested",
+        LINKS,
+        "for pair in product(members, neighbours)",
+        "for pair in product(members[:1], neighbours)",
+        ON_UNTESTED,
+        switched=False,
+    ),
+    Mutant(
+        "mjcf-world-is-a-parent",
+        MJCF,
+        "filters_parents and weld[i] and weld[j] and (",
+        "filters_parents and (",
+        ON_UNTESTED,
+        switched=False,
+    ),
+    Mutant(
+        "mjcf-parents-are-tested",
+        MJCF,
+        "filters_parents and weld[i] and weld[j] and (",
+        "False and (",
+        ON_UNTESTED,
+        switched=False,
+    ),
+    Mutant(
+        "mjcf-filterparent",
+        MJCF,
+        "filters_parents = not int(",
+        "filters_parents = True or not int(",
+        ON_UNTESTED,
+        switched=False,
+    ),
+    Mutant(
+        "mjcf-own-bits-only",
+        MJCF,
+        "of_i[0] & of_j[1] or of_j[0] & of_i[1]",
+        "of_i[0] & of_j[1]",
+        ON_UNTESTED,
+        switched=False,
+    ),
+    Mutant("mjcf-excludes-dropped", MJCF, "meet and (i, j) not in excluded", "meet", ON_UNTESTED, switched=False),
+    Mutant("mjcf-pairs-dropped", MJCF, "if any(bits) or k in in_pairs:", "if any(bits):", ON_UNTESTED, switched=False),
+    Mutant(
+        "mjcf-bodies-as-a-whole",
+        MJCF,
+        "group = (*bits, k) if k in in_pairs else bits",
+        "group = (1, 1)",
+        ON_UNTESTED,
+        switched=False,
+    ),
+    Mutant(
+        "mjcf-coupling-constant", MJCF, "constant + factor * offset)", "factor * offset)", ON_UNTESTED, switched=False
+    ),
+    Mutant(
+        "mjcf-coupling-factor", MJCF, "(coordinate, factor * scale,", "(coordinate, scale,", ON_UNTESTED, switched=False
+    ),
+    Mutant("mjcf-inactive-constraints", MJCF, "if not model.eq_active0[k]:", "if False:", ON_UNTESTED, switched=False),
+    Mutant("mjcf-higher-terms", MJCF, "if other < 0 or any(higher):", "if other < 0:", ON_UNTESTED, switched=False),
+    Mutant(
+        "srdf-enabled-stay-out",
+        URDF,
+        "(why.keys() | disabled) - enabled}",
+        "why.keys() | disabled}",
+        ON_UNTESTED,
+        switched=False,
+    ),
     Mutant(
         "arm-origin-0.999",
         STRAY,

@@ -6,6 +6,7 @@ from mutants_of.mutant import DISTANCE, ON_DISTANCE, Mutant
 
 NODES, TRIANGLES = DISTANCE + "node_gap_item.h", DISTANCE + "triangle_gap_item.h"
 SEARCH, PAIR = DISTANCE + "distance_item.h", DISTANCE + "moving_pair.h"
+MEASURE = "pgccd/detection/distance.py"
 ROUNDING = "real errors are a few roundings, which either part of the bound covers alone; see distance-lower-rounding"
 OF_NODES = "spheres, slabs and samples of nodes are rounded outward by 10^-8 of their radius, 10^5 times this"
 BEND = "half_square * larger(curvature + rounding, 0.0) * kRoundedUp"
@@ -131,5 +132,93 @@ MUTANTS = [
         ON_DISTANCE,
         equivalent="the sums differ by a rounding of the margins; a bound is lower by many of the pair's extent, and"
         " margins so large touch",
+    ),
+    Mutant(
+        "distance-along-lower-of-nearest",
+        MEASURE,
+        "lower=lower, upper=nearest.upper",
+        "lower=nearest.lower, upper=nearest.upper",
+        ON_DISTANCE,
+        switched=False,
+    ),
+    Mutant(
+        "distance-along-converged",
+        MEASURE,
+        "converged=is_converged",
+        "converged=torch.ones_like(is_converged)",
+        ON_DISTANCE,
+        switched=False,
+    ),
+    Mutant(
+        "distance-along-converged-of-any",
+        MEASURE,
+        'found.converged.to(torch.float64), "amin") > 0.0',
+        'found.converged.to(torch.float64), "amin") >= 0.0',
+        ON_DISTANCE,
+        switched=False,
+    ),
+    Mutant(
+        "distance-along-converged-of-all",
+        MEASURE,
+        "are_converged | (nearest.upper - lower",
+        "are_converged & (nearest.upper - lower",
+        ON_DISTANCE,
+        switched=False,
+    ),
+    Mutant(
+        "distance-along-nearest-segment",
+        MEASURE,
+        "earliest_of_each(owner, len(pairs), found.upper)",
+        "earliest_of_each(owner, len(pairs), found.lower)",
+        ON_DISTANCE,
+        switched=False,
+    ),
+    Mutant(
+        "distance-along-time",
+        MEASURE,
+        "time_along(segment, nearest.time, segments)",
+        "nearest.time",
+        ON_DISTANCE,
+        switched=False,
+    ),
+    Mutant(
+        "distance-converged-beyond",
+        MEASURE,
+        "(upper - lower <= allowed) | (lower > cutoff)",
+        "upper - lower <= allowed",
+        ON_DISTANCE,
+        switched=False,
+    ),
+    Mutant(
+        "distance-converged-always",
+        MEASURE,
+        "(upper - lower <= allowed) | (lower > cutoff)",
+        "torch.ones_like(lower, dtype=torch.bool)",
+        ON_DISTANCE,
+        switched=False,
+    ),
+    Mutant(
+        "distance-near-by-upper",
+        MEASURE,
+        "near = lower <= cutoff",
+        "near = upper <= cutoff",
+        ON_DISTANCE,
+        switched=False,
+    ),
+    Mutant(
+        "distance-radius-of-larger",
+        MEASURE,
+        "thick[wanted].amin(dim=1)",
+        "thick[wanted].amax(dim=1)",
+        ON_DISTANCE,
+        switched=False,
+    ),
+    Mutant(
+        "distance-radius-without-margin",
+        MEASURE,
+        "bodies.radius + scene.margin",
+        "bodies.radius",
+        ON_DISTANCE,
+        switched=False,
     ),
 ]

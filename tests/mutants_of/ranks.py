@@ -4,7 +4,44 @@ from __future__ import annotations
 
 from mutants_of.mutant import Mutant
 
+CHANNEL = "pgccd/distributed/guard/channel.py"
+ON_GUARD = ("distributed/test_guard.py",)
+
 MUTANTS = [
+    Mutant("lines-without-number", CHANNEL, 'number + line, "sha256"', 'line, "sha256"', ON_GUARD, switched=False),
+    Mutant(
+        "lines-one-key-for-both",
+        CHANNEL,
+        'for side in (b"hub", b"rank"))',
+        'for side in (b"hub", b"hub"))',
+        ON_GUARD,
+        switched=False,
+    ),
+    Mutant(
+        "lines-mac-not-compared",
+        CHANNEL,
+        "if not hmac.compare_digest(mac, self._mac(line, 1)):",
+        "if False:",
+        ON_GUARD,
+        switched=False,
+    ),
+    Mutant("lines-repeated", CHANNEL, "self._counts[1] += 1", "pass", ON_GUARD, switched=False),
+    Mutant(
+        "lines-after-a-wrong-one",
+        CHANNEL,
+        'self.has_ended, self._received = True, b""',
+        "self.has_ended = False",
+        ON_GUARD,
+        switched=False,
+    ),
+    Mutant(
+        "verdicts-as-they-come",
+        CHANNEL,
+        'c if c.isprintable() else c.encode("unicode_escape").decode()',
+        "c",
+        ON_GUARD,
+        switched=False,
+    ),
     Mutant(
         "world-without-census",
         "pgccd/distributed/world/world.py",

@@ -11,7 +11,7 @@ from oracle.arms import Arm, Part
 from support.arms import UPRIGHT, beams, loaded
 
 import pgccd
-from pgccd.robots import Obstacles, Robot, shapes
+from pgccd.robots import Obstacles, Robot, Verdict, shapes
 
 UPRIGHT_TURN = torch.tensor([[1.0, 0, 0, 0]], dtype=torch.float64)
 
@@ -69,13 +69,14 @@ def test_planes_height_fields_and_meshes(tmp_path: Path) -> None:
     ball = '<geom type="sphere" size="0.2"/>'
     floor = mjcf(tmp_path, '<geom type="plane" size="0 0 1" pos="0 0 0.5"/>' + SLIDER.format(ball))
     assert floor.link_names == ["world", "s"] and floor.moves.tolist() == [False, True]
+    assert floor.reach == pytest.approx(5.0 + 1.0 + 0.2, rel=1e-6)  # without limits it slides by 1
     found = floor.certify(torch.tensor([[[0.0], [5.0]], [[0.0], [4.0]]]))
     assert found.free.tolist() == [False, True] and found.names(0) == ("world", "s")
     assert abs(float(found.time[0]) - 4.3 / 5.0) < 1e-3 * floor.reach
     assets = '<hfield name="h" nrow="2" ncol="3" size="1 2 0.5 0.1" elevation="0 0 0 1 1 1"/>'
     field = mjcf(tmp_path, '<geom type="hfield" hfield="h"/>' + SLIDER.format(ball), assets=assets)
     corners = field.meshes[0].vertices + field.meshes[0].origin
-    assert corners.min(dim=0).values.tolist() == [-1.0, -2.0, 0.0]
+    assert corners.min(dim=0).values.tolist() == [-1.0, -2.0, -0.1]
     assert corners.max(dim=0).values.tolist() == [1.0, 2.0, 0.5]
     tetra = "0 0 0  1 0 0  0 1 0  0 0 1"
     mesh = mjcf(tmp_path, SLIDER.format('<geom type="mesh" mesh="m"/>'), assets=f'<mesh name="m" vertex="{tetra}"/>')
@@ -84,6 +85,31 @@ def test_planes_height_fields_and_meshes(tmp_path: Path) -> None:
     corners = mesh.meshes[0].vertices.numpy()
     expected = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
     assert np.allclose(corners[np.lexsort(corners.round(4).T)], expected[np.lexsort(expected.T)], atol=1e-6)
+
+
+def test_robots_beside_planes_are_invalid(tmp_path: Path) -> None:
+    """Planes are infinite whatever their size, and do not count for the reach; where a robot may leave the square in
+    place of one, nothing is called free.
+    """
+    rail = '<body name="s" pos="3 0 1"><joint type="slide" axis="1 0 0"/><geom type="sphere" size="0.2"/></body>'
+    floor = '<geom type="plane" size="1 2 1" pos="{} 0 -1"/><geom type="box" size="1 1 0.1" pos="0 5 0"/>'
+    for at, half in ((0.0, 1e4), (2e4, 2.0 * (2e4 + 6.2))):
+        robot = mjcf(tmp_path, floor.format(at) + rail)
+        assert [len(mesh.faces) for mesh in robot.meshes] == [12, 2, 1] and 5.0 < robot.reach < 6.2
+        wide = float((robot.meshes[1].vertices[:, 1] + robot.meshes[1].origin[1]).abs().max())
+        assert wide == pytest.approx(half, rel=1e-3)
+        heights = robot.meshes[1].vertices[:, 2] + robot.meshes[1].origin[2]
+        np.testing.assert_allclose(heights.numpy(), -1.0, atol=1e-9)
+        room = wide - at - robot.reach
+        within, beyond = (torch.tensor([[0.0], [room * share]], dtype=torch.float64) for share in (0.999, 1.001))
+        assert robot.certify(torch.stack([within, beyond])).verdict.tolist() == [Verdict.FREE, Verdict.INVALID]
+        robot.trajectory(within)
+        with pytest.raises(ValueError, match=r"q: waypoint 1: expected joints that slide by at most .* infinite plane"):
+            robot.trajectory(beyond)
+        assert robot.poses(within)[0].isfinite().all() and robot.poses(beyond)[0][1].isnan().all()
+    sinking = SLIDER.format('<geom type="sphere" size="0.2" pos="0 -90 0"/>')
+    tilted = mjcf(tmp_path, '<geom type="plane" size="0.1 0.1 1" quat="0.8 0.6 0 0"/>' + sinking)
+    assert tilted.certify(torch.tensor([[[0.0], [400.0]], [[0.0], [300.0]]])).free.tolist() == [False, True]
 
 
 def test_bodies_of_links(tmp_path: Path) -> None:

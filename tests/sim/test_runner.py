@@ -7,6 +7,7 @@ import os
 import re
 import shutil
 import signal
+import time
 import tracemalloc
 from collections.abc import Callable
 from contextlib import nullcontext
@@ -230,6 +231,29 @@ def test_only_the_end_of_the_log_is_read(tmp_path: Path, monkeypatch: pytest.Mon
     path.write_text("".join(line + "\n" for line in lines))
     found = list(log_module.iterate_log(tmp_path, with_ranks=False))
     assert [each["step"] for each in found] == list(range(40)) and "ranks" not in found[0]
+
+
+def test_a_log_with_holes_is_refused_at_once(tmp_path: Path, finished: tuple[Path, ...]) -> None:
+    """Of a terabyte, wherever they are; fewer zeros at the end are what a crash leaves."""
+    own = (Path(finished[0]) / LOG_FILE).read_bytes()
+    path, last = tmp_path / LOG_FILE, sim.read_log(finished[0])[-1]
+    for before, after in ((own, b""), (b"", b"\n" + own), (own, b"\n" + own)):
+        path.write_bytes(before)
+        with path.open("r+b") as file:
+            file.seek(1 << 40)
+            file.write(after)
+            file.truncate(max(file.tell(), 1 << 40))
+        readers: list[Callable[[], object]] = [lambda: sim.read_log(tmp_path)]
+        readers += [lambda: StepLog(tmp_path, last["step"] + 1, last["state_hash"])] * (not after)
+        begin = time.process_time()
+        for read in readers:
+            with pytest.raises(ValueError, match=r"steps.jsonl cannot be (read|written): it has holes$"):
+                read()
+        assert time.process_time() - begin < 2.0  # reading all takes minutes
+    path.write_bytes(own + bytes(5000))
+    with StepLog(tmp_path, last["step"] + 1, last["state_hash"]):
+        pass
+    assert path.read_bytes() == own
 
 
 def test_nothing_of_the_log_is_kept_in_memory(tmp_path: Path) -> None:

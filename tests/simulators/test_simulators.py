@@ -119,8 +119,9 @@ def test_poses_of_mujoco_are_those_after_the_step() -> None:
     np.testing.assert_allclose(matrices.reshape(-1, 9), data.geom_xmat[simulator.geoms], atol=1e-14)
 
 
+@pytest.mark.parametrize("with_pairs", [False, True])
 @pytest.mark.parametrize("option", ["", '<option><flag filterparent="disable"/></option>'])
-def test_filters_are_those_of_mujoco(option: str) -> None:
+def test_filters_are_those_of_mujoco(option: str, with_pairs: bool) -> None:
     mujoco = pytest.importorskip("mujoco")
     hinge = '<joint type="hinge" axis="0 0 1"/>'
     cube = '<geom name="{}" type="box" size="0.5 0.5 0.5" {}/>'
@@ -133,7 +134,11 @@ def test_filters_are_those_of_mujoco(option: str) -> None:
     <body name="e" pos="0 0.05 2"><freejoint/>{cube.format("e", 'contype="4" conaffinity="1"')}</body>
     <body name="f" pos="0 0.03 2" mocap="true">{cube.format("f", "")}</body>
     <body name="g" pos="0 0.03 2.1">{cube.format("g", "")}</body>"""
-    text = MODEL.format(parts, f'<contact><exclude body1="c" body2="a"/></contact>{option}')
+    parts += (
+        '<body name="h" pos="0.02 0.03 2"><freejoint/><geom name="h" size="0.5" contype="0" conaffinity="0"/></body>'
+    )
+    pairs = '<pair geom1="h" geom2="c"/><pair geom1="c" geom2="a"/><pair geom1="d" geom2="e"/>' if with_pairs else ""
+    text = MODEL.format(parts, f'<contact><exclude body1="c" body2="a"/>{pairs}</contact>{option}')
     model = mujoco.MjModel.from_xml_string(text)
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -318,6 +323,74 @@ def test_links_and_errors_of_pybullet(client: tuple[Any, int]) -> None:
     bullet.createMultiBody(0.0, triangles)
     with pytest.raises(ValueError, match="body 1, .*: expected a box, sphere"):
         pgccd.simulators.PyBullet(number)
+    bullet.removeBody(1)
+    bullet.createMultiBody(0.0, -1, basePosition=[1, 2, 3])  # no shape at all
+    assert pgccd.simulators.PyBullet(number).links == [(body, -1), (body, 0)]
+    field = bullet.createCollisionShape(
+        bullet.GEOM_HEIGHTFIELD, heightfieldData=[0.0] * 4, numHeightfieldRows=2, numHeightfieldColumns=2
+    )
+    bullet.createMultiBody(0.0, field)
+    with pytest.raises(ValueError, match="body 2, .*: expected shapes that PyBullet tells, .* height field"):
+        pgccd.simulators.PyBullet(number)
+
+
+def test_bodies_beside_planes_are_errors(client: tuple[Any, int]) -> None:
+    """Squares in place of infinite planes are wide enough for the scene, and a body that leaves one is named."""
+    mujoco, (bullet, number) = pytest.importorskip("mujoco"), client
+    ball = '<body name="ball" pos="{} 0 0"><freejoint/><geom name="ball" size="1"/></body>'
+    for at, half in ((0.0, 1e4), (5e4, 4.0 * (5e4 + 1.0))):
+        model = mujoco.MjModel.from_xml_string(MODEL.replace("0 0 0.1", "1 1 1", 1).format(ball.format(at), ""))
+        simulator, data = pgccd.simulators.MuJoCo(model), mujoco.MjData(model)
+        assert float(simulator.scene.meshes.meshes[0].vertices.abs().max()) == pytest.approx(half, rel=1e-8)
+        data.qpos[:3] = 0.7 * half, 0.7 * half, -2.0 * half  # within the circle, and how far below does not matter
+        simulator.frame(data)
+        data.qpos[:3] = 0.0, half - 0.999, 0.0
+        with pytest.raises(ValueError, match=r"position: expected bodies within .* plane 'floor', got 'ball' at"):
+            simulator.frame(data)
+    wall = bullet.createCollisionShape(bullet.GEOM_PLANE, planeNormal=[3.0, 4.0, 0.0])
+    bullet.createMultiBody(0.0, wall, basePosition=[0.0, 0.0, 2.0], baseOrientation=[0.0, 0.0, 1.0, 0.0])
+    body = bullet.createMultiBody(1.0, bullet.createCollisionShape(bullet.GEOM_SPHERE, radius=1.0))
+    of_bullet = pgccd.simulators.PyBullet(number)
+    bullet.resetBasePositionAndOrientation(body, [3e5, 4e5, 0.0], [0, 0, 0, 1])  # along the normal
+    of_bullet.frame()
+    for away in ([4e4, -3e4, 0.0], [0.0, 0.0, 1.1e4], [float("nan"), 0.0, 0.0]):
+        bullet.resetBasePositionAndOrientation(body, away, [0, 0, 0, 1])
+        with pytest.raises(ValueError, match="position: expected bodies within"):
+            of_bullet.frame()
+
+
+def test_planes_and_margins_of_newton() -> None:
+    newton, warp = pytest.importorskip("newton"), pytest.importorskip("warp")
+    warp.config.quiet = True
+    builder = newton.ModelBuilder()
+    cfg = newton.ModelBuilder.ShapeConfig(margin=0.25)
+    builder.add_shape_plane(width=3.0, length=5.0, cfg=cfg)
+    builder.add_shape_plane((1.0, 0.0, 0.0, -2.0), width=0.0, length=0.0)
+    builder.add_shape_sphere(builder.add_body(), radius=0.5, cfg=cfg)
+    mesh = newton.Mesh(np.eye(4, 3, dtype=np.float32), np.array([0, 1, 2, 1, 0, 3, 2, 1, 3, 0, 2, 3], dtype=np.int32))
+    builder.add_shape_convex_hull(builder.add_body(), mesh=mesh, scale=(-1.0, 2.0, 3.0))
+    model = builder.finalize(device="cpu")
+    simulator, state = pgccd.simulators.Newton(model), model.state()
+    scene = simulator.scene
+    assert scene.margin is not None and scene.margin.tolist() == [0.25, 0.0, 0.75, 0.0]
+    corners = [mesh.vertices + mesh.origin for mesh in scene.meshes.meshes]
+    assert corners[0].abs().max(dim=0).values.tolist() == [1.5, 2.5, 0.0]
+    np.testing.assert_allclose(corners[1][:, 0].numpy(), 2.0, atol=1e-2)
+    assert corners[1][:, 1:].abs().max().item() == pytest.approx(1e4, rel=1e-3)
+    # A mirrored mesh keeps its outside, so its volume its sign.
+    volumes = []
+    for vertices, faces in ((np.eye(4, 3), mesh.indices.reshape(-1, 3)), (corners[3], scene.meshes.meshes[3].faces)):
+        a, b, c = np.asarray(vertices)[np.asarray(faces)].transpose(1, 0, 2)
+        volumes.append((a * np.cross(b, c)).sum() / 6.0)
+    assert volumes[1] == pytest.approx(6.0 * volumes[0], rel=1e-6)
+    poses = state.body_q.numpy()
+    poses[0, :3] = 0.0, 2e4, 0.0
+    state.body_q.assign(poses)
+    with pytest.raises(ValueError, match="position: expected bodies within"):
+        simulator.frame(state)
+    builder.add_shape_plane(width=3.0, length=0.0)
+    with pytest.raises(ValueError, match=r"width and length or with neither, got \[3.0, 0.0\]"):
+        pgccd.simulators.Newton(builder.finalize(device="cpu"))
 
 
 def test_guarded_steps_of_mujoco_tunnel_nothing() -> None:

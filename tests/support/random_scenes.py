@@ -97,7 +97,7 @@ def random_scene(seed: int) -> RandomScene:
     unit = min(
         1.0, 2.0 ** float(np.floor(np.log2(sizes.min())))
     )  # so that not all features of the smallest body are close
-    filters = _filters(rng, count, kind, unit)
+    filters = filters_of(rng, count, kind, unit)
     if "static" in filters:
         velocity[:, filters["static"].numpy()] = 0.0
     still = np.abs(velocity).sum(axis=(0, 2)) == 0.0
@@ -119,7 +119,7 @@ def random_scene(seed: int) -> RandomScene:
         turned = np.stack([np.where(still[:, None], orientation, unit_quaternions(rng, count)) for _ in path])
         poses = [path, np.tile(orientation, (len(path), 1, 1)) if on_lattice else turned]
     else:
-        poses = _deformed(rng, [meshes[k] for k in mesh_index], start, velocity, still, 0.0 if on_lattice else 0.2)
+        poses = deformed(rng, [meshes[k] for k in mesh_index], start, velocity, still, 0.0 if on_lattice else 0.2)
         if kind == "deforming":
             poses = [poses[0][0], poses[0][1]]
     arguments = {name: values[rng.integers(len(values))] for name, values in ARGUMENTS.items()}
@@ -134,11 +134,11 @@ def random_scene(seed: int) -> RandomScene:
         filters,
         [torch.tensor(column) for column in poses],
         arguments,
-        _excluded(np.random.default_rng([seed, 2]), count),
+        excluded(np.random.default_rng([seed, 2]), count),
     )
 
 
-def _excluded(rng: np.random.Generator, count: int) -> Tensor | None:
+def excluded(rng: np.random.Generator, count: int) -> Tensor | None:
     """Some pairs of bodies in any order, some of them twice; for a third of the scenes."""
     if rng.integers(3):
         return None
@@ -195,7 +195,7 @@ def _places(rng: np.random.Generator, layout: str, sizes: np.ndarray, steps: int
     return place, velocity
 
 
-def _filters(rng: np.random.Generator, count: int, kind: str, unit: float) -> dict[str, Tensor]:
+def filters_of(rng: np.random.Generator, count: int, kind: str, unit: float) -> dict[str, Tensor]:
     def wanted(share: float) -> bool:
         return bool(rng.uniform() < share)
 
@@ -214,7 +214,7 @@ def _filters(rng: np.random.Generator, count: int, kind: str, unit: float) -> di
     return filters
 
 
-def _deformed(
+def deformed(
     rng: np.random.Generator,
     meshes: list[pgccd.Mesh],
     start: np.ndarray,

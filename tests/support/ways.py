@@ -14,12 +14,13 @@ from torch import Tensor
 
 import pgccd
 from pgccd.distributed import BalanceOptions, Comm, World
-from support.random_scenes import RandomScene, random_scene
+from support.hard_scenes import hard_scene
+from support.random_scenes import RandomScene
 from support.ranks import RankPool
 from support.same_bits import columns_of, difference, first_rows
 
 Columns = dict[str, Tensor]
-_THREADS = 3
+THREADS = 3
 
 
 @dataclass
@@ -36,7 +37,7 @@ class Difference:
 
 def reference(scene: RandomScene) -> pgccd.Contacts:
     """The contacts by one thread of a CPU, in one piece, by the sweep."""
-    with _threads(1):
+    with threads_set(1):
         return pgccd.detect(scene.scene(), scene.motion(), broad_phase="sweep", **scene.arguments)
 
 
@@ -71,8 +72,22 @@ def differences(
                 said = difference(derived(scene, device), others) if device != "cpu" else None
             if said is not None:
                 found.append(Difference(scene, f"derived values, {device}", said))
+    if pool is not None:
+        found += of_ranks(scenes, devices, pool, ranks, expected)
+    return found
+
+
+def of_ranks(
+    scenes: list[RandomScene],
+    devices: Iterable[str],
+    pool: RankPool,
+    ranks: int,
+    expected: list[Columns] | None = None,
+) -> list[Difference]:
+    """As `differences`, of 1 to `ranks` ranks alone; `expected`: columns of the `reference` of each scene."""
+    expected = [columns_of(reference(scene)) for scene in scenes] if expected is None else expected
+    found: list[Difference] = []
     for size in range(1, ranks + 1):
-        assert pool is not None
         for device in devices:
             answers = pool.run(size, on_rank, [scene.seed for scene in scenes], device)
             for k, scene in enumerate(scenes):
@@ -109,7 +124,7 @@ def _ways(scene: RandomScene, whole: pgccd.Contacts, device: str) -> Iterator[tu
     if device == "cpu":
 
         def threads() -> pgccd.Contacts:
-            with _threads(_THREADS):
+            with threads_set(THREADS):
                 return detect()
 
         yield "threads", threads
@@ -173,7 +188,7 @@ def on_rank(comm: Comm, seeds: list[int], device: str) -> list[tuple[Tensor, Col
     """For each scene the bodies that this rank owns, and their contacts, with ids in `pairs`."""
     answers = []
     for seed in seeds:
-        scene = random_scene(seed)
+        scene = hard_scene(seed)
         with _named(scene):
             world = world_of(comm, scene, device)
             own = body_of(world.id.cpu())
@@ -241,7 +256,7 @@ def _named(scene: RandomScene) -> Iterator[None]:
 
 
 @contextmanager
-def _threads(count: int) -> Iterator[None]:
+def threads_set(count: int) -> Iterator[None]:
     """Sets the number of threads for a while."""
     before = torch.get_num_threads()
     torch.set_num_threads(count)

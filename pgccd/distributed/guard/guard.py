@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from typing import TypeVar
 
 from pgccd.distributed.guard import terminate
-from pgccd.distributed.guard.channel import Channel
+from pgccd.distributed.guard.channel import Channel, one_line
 from pgccd.distributed.guard.hub import Hub
 from pgccd.distributed.guard.turns import TurnClock
 
@@ -356,7 +356,11 @@ class Guard:
     def _read_hub(self) -> None:
         """Handles messages of the hub, waiting for a fraction of a second."""
         assert self._channel is not None
-        messages = None if self._is_alone else self._channel.receive(_TURN_SECONDS)
+        try:
+            messages = None if self._is_alone else self._channel.receive(_TURN_SECONDS)
+        except ValueError:
+            self._decide("the connection to rank 0 carries lines that rank 0 has not sent")
+            messages = None
         if messages:
             self._silent_since = None
         if messages is None:
@@ -400,7 +404,7 @@ class Guard:
 
     def _decide(self, verdict: str, is_final: bool = True) -> None:
         if self._verdict is None:
-            self._verdict, self._is_final = verdict, is_final
+            self._verdict, self._is_final = one_line(verdict), is_final
             if is_final:
                 terminate.has_verdict.set()
         self._answered.set()

@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from pgccd.distributed.guard.channel import Channel, Greeting, Message
+from pgccd.distributed.guard.channel import Channel, Greeting, Message, one_line
 from pgccd.distributed.guard.turns import TurnClock
 
 _TICK_SECONDS = 1.0
@@ -179,10 +179,11 @@ class Hub:
             return
         if channel not in self._ranks:  # dropped in this turn
             return
+        what = "has died"
         try:
             messages = channel.receive(0.0)
-        except ValueError:  # not sent by a rank
-            messages = None
+        except ValueError:  # not sent by the rank
+            messages, what = None, "is lost: its connection carries lines that it has not sent"
         rank = self._ranks[channel]
         for message in messages or []:
             self._handle(rank, message)
@@ -190,14 +191,14 @@ class Hub:
             del self._ranks[channel]
             self._forget(channel)
             if not self._members[rank].finished:
-                self._blame(f"{self._members[rank].name} has died", is_final=True)
+                self._blame(f"{self._members[rank].name} {what}", is_final=True)
 
     def _greet(self, channel: Channel) -> None:
-        messages = channel.receive(0.0)
-        if messages == []:
+        message = channel.receive_one(0.0)
+        if message is None and not channel.has_ended:
             return
         greeting = self._greetings[channel][0]
-        who = greeting.check(messages[0]) if messages else None
+        who = None if message is None else greeting.check(message)
         if who is None or who["rank"] in self._members or not 0 <= who["rank"] < self._size:
             if who is not None:
                 channel.send(refused=True)
@@ -205,7 +206,7 @@ class Hub:
             return
         del self._greetings[channel]
         self._ranks[channel] = who["rank"]
-        self._members[who["rank"]] = _Member(channel, f"rank {who['rank']} ({who.get('name')})")
+        self._members[who["rank"]] = _Member(channel, one_line(f"rank {who['rank']} ({who.get('name')})"))
         self._note_address(channel)
         greeting.accept(who)
         if len(self._members) == self._size:
@@ -297,6 +298,7 @@ class Hub:
         """The first verdict holds: later failures follow from it."""
         if self._verdict is not None:
             return
+        verdict = one_line(verdict)
         self._verdict, self._is_final, self._inquiry = verdict, is_final, None
         # Printed here, because launchers end all ranks as soon as one has died.
         _tell(verdict)

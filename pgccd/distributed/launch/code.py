@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import dis
 import functools
 import hashlib
 import platform
@@ -45,8 +47,9 @@ def digest_of_files(package: Path) -> str:
 def code_of(function: Callable[..., Any]) -> str:
     """A function's name and a digest of its code, not of its place in a file: equal on ranks that run the same.
 
-    Lambdas, partial functions (with functions among their arguments), methods, objects with `__call__`, and functions
-    in closures are covered; values are not compared, since they may differ between ranks.
+    Lambdas, partial functions, methods and objects with `__call__` are covered, with the numbers and functions in their
+    closures, defaults and arguments and among the globals that they read; of globals the functions of the same package.
+    Texts, tensors and other objects are not compared, since they may differ between ranks, as devices do.
     """
     digest = hashlib.sha256()
     _add(digest, function, set())
@@ -61,8 +64,7 @@ def _add(digest: Any, value: Any, seen: set[int]) -> None:
     if isinstance(value, functools.partial):
         digest.update(b"partial")
         for each in (value.func, *value.args, *(value.keywords[name] for name in sorted(value.keywords))):
-            if callable(each):
-                _add(digest, each, seen)
+            _add_used(digest, each, seen)
         return
     value = getattr(value, "__wrapped__", value)
     value = getattr(value, "__func__", value)
@@ -70,12 +72,15 @@ def _add(digest: Any, value: Any, seen: set[int]) -> None:
     if isinstance(code, types.CodeType):
         digest.update(repr(_plain(code)).encode(errors="replace"))
         for cell in getattr(value, "__closure__", None) or ():
-            try:
-                inner = cell.cell_contents
-            except ValueError:  # empty
-                continue
-            if callable(inner):
-                _add(digest, inner, seen)
+            with contextlib.suppress(ValueError):  # empty
+                _add_used(digest, cell.cell_contents, seen)
+        for each in getattr(value, "__defaults__", None) or ():
+            _add_used(digest, each, seen)
+        known, package = getattr(value, "__globals__", {}), _package(value)
+        for name in sorted(_globals_of(code) & known.keys()):
+            each = known[name]
+            if not callable(each) or (isinstance(each, types.FunctionType) and _package(each) == package):
+                _add_used(digest, each, seen)
         return
     kind = value if isinstance(value, type) else type(value)
     digest.update(f"{kind.__module__}.{kind.__qualname__} {getattr(value, '__qualname__', '')}".encode())
@@ -83,6 +88,28 @@ def _add(digest: Any, value: Any, seen: set[int]) -> None:
         method = getattr(kind, name, None)
         if isinstance(getattr(method, "__code__", None), types.CodeType):
             _add(digest, method, seen)
+
+
+def _add_used(digest: Any, value: Any, seen: set[int]) -> None:
+    """Adds what a function uses, if it can be compared."""
+    if _is_number(value) or (isinstance(value, tuple) and all(map(_is_number, value))):
+        digest.update(f"{value!r} ".encode())
+    elif callable(value):
+        _add(digest, value, seen)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float | complex)
+
+
+def _package(function: Any) -> str:
+    return str(getattr(function, "__module__", "")).partition(".")[0]
+
+
+def _globals_of(code: types.CodeType) -> set[str]:
+    """The names of globals that code reads, functions within it included."""
+    names = {each.argval for each in dis.get_instructions(code) if each.opname in ("LOAD_GLOBAL", "LOAD_NAME")}
+    return names.union(*(_globals_of(each) for each in code.co_consts if isinstance(each, types.CodeType)))
 
 
 def _plain(value: Any) -> Any:

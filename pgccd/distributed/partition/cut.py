@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -46,6 +47,14 @@ class Cut:
         """
         kind = self._kind(balance, former)
         return make_partition(kind, self.lower, self.upper, ranks, self.axes, self.cells, device)
+
+    def cell_count(self, balance: BalanceOptions) -> int:
+        """Number of cells of a subdomain in the uniform partition; 0 if it has none.
+
+        Raises:
+            TypeError, ValueError: naming the field.
+        """
+        return math.prod(check_cells(self.axes, self.cells)) if self._kind(balance, None) == "cells" else 0
 
     def _kind(self, balance: BalanceOptions, former: str | None) -> str:
         """For "auto" that of the checkpoint, or bisection, unless other options ask for cells."""

@@ -139,6 +139,9 @@ def _cut(stored: Stored) -> Cut:
     try:
         cells = content["cells"] if isinstance(content["cells"], int) else tuple(content["cells"])
         cut = Cut(content["partition"], tuple(content["lower"]), tuple(content["upper"]), content["axes"], cells)
+        count = cut.cell_count(BalanceOptions("none"))
+        if 8 * count > stored.shared_bytes():  # of each owner
+            raise ValueError(f"cells: {count} in each subdomain, more than its table of owners can have")
         cut.uniform(1, torch.device("cpu"), BalanceOptions("none"))
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise CheckpointError(f"{stored.folder} is not the checkpoint of a world: {error}") from error
