@@ -5,7 +5,7 @@ from __future__ import annotations
 from mutants_of.mutant import Mutant
 
 CHANNEL = "pgccd/distributed/guard/channel.py"
-ON_GUARD = ("distributed/test_guard.py",)
+ON_GUARD = ("distributed/test_channel.py", "distributed/test_guard.py")
 
 MUTANTS = [
     Mutant("lines-without-number", CHANNEL, 'number + line, "sha256"', 'line, "sha256"', ON_GUARD, switched=False),

@@ -9,7 +9,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from pgccd.distributed.guard import terminate
 from pgccd.distributed.guard.channel import Channel, one_line
@@ -27,6 +27,8 @@ _EXIT_CODE = 70
 # Time in an exchange of a call that failed on another rank, after which that rank is at fault; and for the hub to note
 # a failure.
 _STUCK_SECONDS, _NOTED_SECONDS = 1.0, 2.0
+# Calls told in one message.
+_CALLS_A_LINE = 256
 # An error after this fraction of the time-out counts as a time-out, since libraries measure time differently.
 _LATE = 0.9
 
@@ -79,6 +81,7 @@ class Guard:
         # Public calls of this rank, and the thread that is in one; whether the last one failed here, perhaps not on all
         # ranks; and the failed calls of other ranks, by number.
         self._calls, self._caller, self._calls_lock = 0, 0, threading.Lock()
+        self._untold: list[str] = []  # names of the last calls, of which the hub does not know yet
         self._has_failed_call, self._failed_calls = False, set[int]()
         self._noted, self._settled = threading.Event(), threading.Event()
         self._clock = TurnClock()
@@ -150,8 +153,8 @@ class Guard:
             self._is_waiting = False
 
     def begin_call(self, name: str) -> bool:
-        """Tells the hub, without waiting, of a public call that all ranks make in the same order. Calls within a call
-        do not count: False. After True, `end_call` must follow.
+        """Notes a public call that all ranks make in the same order; the thread tells the hub. Calls within a call do
+        not count: False. After True, `end_call` must follow.
 
         Raises:
             RankFailureError: there is a verdict.
@@ -167,7 +170,7 @@ class Guard:
             if self._caller:
                 raise RuntimeError(f"{name}: another thread of rank {self._rank} is in such a call")
             self._caller, self._calls = threading.get_ident(), self._calls + 1
-        self._channel.send(about="call", number=self._calls, name=name)
+            self._untold.append(name)
         return True
 
     def end_call(self) -> None:
@@ -184,12 +187,26 @@ class Guard:
         self._noted.clear()
         self._settled.clear()
         text = None if is_of_all else _first_line(error)
-        if self._channel.send(about="failed call", number=self._calls, text=text):
+        if self._send(about="failed call", number=self._calls, text=text):
             self._noted.wait(_NOTED_SECONDS)
         if self._verdict is not None and self._is_final:
             self._ends_hard = True
             raise RankFailureError(f"{self._verdict} (rank {self._rank} was in {self.activity})") from error
         self._has_failed_call = not is_of_all
+
+    def _send(self, **message: Any) -> bool:
+        """Sends a message to the hub, after all calls that it does not know yet; False if the connection is closed."""
+        assert self._channel is not None
+        self._tell_calls()
+        return self._channel.send(**message)
+
+    def _tell_calls(self) -> None:
+        assert self._channel is not None
+        with self._calls_lock:
+            names, self._untold = self._untold, []
+            for first in range(0, len(names), _CALLS_A_LINE):
+                number = self._calls - len(names) + first + 1
+                self._channel.send(about="calls", number=number, names=names[first : first + _CALLS_A_LINE])
 
     def _settle(self, name: str) -> None:
         """After an error in a call that was caught: waits until no rank is in that call any more. Otherwise this rank's
@@ -210,14 +227,14 @@ class Guard:
         """Reports to all ranks that this one fails with an error of its own."""
         if self._channel is None or isinstance(error, RankFailureError):
             return
-        self._channel.send(about="failure", text=f"failed in {self.activity}: {_first_line(error)}")
+        self._send(about="failure", text=f"failed in {self.activity}: {_first_line(error)}")
 
     def close(self) -> None:
         """Leaves the job: a rank that has finished is not at fault, unless another waits for it."""
         if self._closed.is_set() or self._channel is None:
             return
         self._closed.set()
-        self._channel.send(about="finished")
+        self._send(about="finished")
         self._thread.join(_GRACE_SECONDS)
         self.is_broken = None  # releases the process group before Python exits
         self._channel.close()
@@ -252,7 +269,7 @@ class Guard:
             return None
         self._answered.clear()
         if self._verdict is None:
-            if self._channel.send(about="error", is_late=is_late):
+            if self._send(about="error", is_late=is_late):
                 begin = self._clock.now
                 while not self._answered.wait(_TURN_SECONDS):
                     if self._clock.now - begin > _VERDICT_SECONDS:
@@ -271,6 +288,7 @@ class Guard:
         hopeless_since: float | None = None
         while not self._closed.is_set():
             try:
+                self._tell_calls()
                 self._read_hub()
                 now = self._clock.turn()
                 if self._verdict is None:
@@ -308,7 +326,7 @@ class Guard:
             self._decide(self._ended_hub)
         elif ends and still > _STUCK_SECONDS and self._calls in self._failed_calls:
             self._failed_calls.discard(self._calls)
-            self._channel.send(about="stuck", number=self._calls)
+            self._send(about="stuck", number=self._calls)
         elif ends and self._none_behind == (exchanges, 2):
             # All ranks have sent what this one waits for, or wait for other messages. Asked twice, since messages are
             # late, not lost, after all processes have been suspended.
@@ -316,13 +334,13 @@ class Guard:
         elif is_late and (self._late_at != exchanges or (ends and since_asked > self._timeout)):
             self._late_at, self._late_in, self._asked = exchanges, is_waiting, now
             self._silent_since = now if self._silent_since is None else self._silent_since
-            self._channel.send(about="error", is_late=True, exchange=exchanges)
+            self._send(about="error", is_late=True, exchange=exchanges)
         elif self._silent_since is not None and now - self._silent_since > _VERDICT_SECONDS:
             self._blame_silent_hub()
         elif self.is_broken is not None and self.is_broken():
             if self._broken_since is None:
                 self._broken_since = now
-                self._channel.send(about="error", is_late=False)
+                self._send(about="error", is_late=False)
             elif now - self._broken_since > _VERDICT_SECONDS:
                 self._fail("lost messages of other ranks, although all are alive")
 
@@ -333,8 +351,7 @@ class Guard:
         with self._lock:
             goes_on = self._exchanges != self._late_at or (self._late_in and not self._is_waiting)
         if goes_on:
-            assert self._channel is not None
-            self._channel.send(about="goes on")
+            self._send(about="goes on")
             self._withdraw()
 
     def _withdraw(self) -> None:
@@ -342,10 +359,9 @@ class Guard:
         self._answered.clear()
 
     def _fail(self, text: str, is_hang: bool = False) -> None:
-        assert self._channel is not None
         if is_hang:
             self._print_stack()
-        self._channel.send(about="failure", text=text, is_hang=is_hang)
+        self._send(about="failure", text=text, is_hang=is_hang)
         self._decide(f"rank {self._rank} {text}")
 
     def _blame_silent_hub(self) -> None:
@@ -400,7 +416,7 @@ class Guard:
                     with self._lock:
                         exchanges = self._exchanges
                     here = {"exchanges": exchanges, "activity": self.activity}
-                    self._channel.send(about="answer", number=message.get("number"), **here)
+                    self._send(about="answer", number=message.get("number"), **here)
 
     def _decide(self, verdict: str, is_final: bool = True) -> None:
         if self._verdict is None:

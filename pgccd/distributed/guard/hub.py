@@ -23,6 +23,8 @@ _GREETING_SECONDS, _MOST_GREETINGS = 10.0, 64
 _ACCEPTED = 32
 # Time for a rank to answer, unless it is stopped or its interpreter is busy; and from one query to the next.
 _ANSWER_SECONDS, _SECOND_LOOK_SECONDS = 5.0, 2.0
+# Number of a question that is asked only for the calls that a rank tells before it answers.
+_CALLS = -1
 # Open files that a process needs besides the connections.
 _OTHER_FILES = 512
 
@@ -78,7 +80,8 @@ class Hub:
         # failed, with the error.
         self._calls: dict[int, tuple[int, str, int]] = {}
         self._failed_calls: dict[int, dict[int, str]] = {}
-        self._to_note: list[Channel] = []
+        # Ranks that wait until all calls made so far have been compared, and those that may still tell some.
+        self._to_note: list[tuple[int, set[int]]] = []
         self._clock = TurnClock()
         #: Set once all ranks have joined.
         self.is_complete = threading.Event()
@@ -120,16 +123,11 @@ class Hub:
         while not self._closing.is_set() or (
             self._verdict is not None and self._ranks and time.monotonic() < self._deadline
         ):
-            noted, self._to_note = self._to_note, []
-            for key, _ in self._selector.select(
-                0.0 if noted else 0.1 if self._closing.is_set() else 0.2 * _TICK_SECONDS
-            ):
+            for key, _ in self._selector.select(0.1 if self._closing.is_set() else 0.2 * _TICK_SECONDS):
                 if key.fileobj is self._listener:
                     self._accept()
                 else:
                     self._read(key.fileobj)  # type: ignore[arg-type]
-            for channel in noted:  # what had arrived before has been read by now
-                channel.send(about="noted")
             self._clock.turn()
             self._drop_strangers(lambda since: self._clock.now - since > _GREETING_SECONDS)
             if self._inquiry is not None:
@@ -226,10 +224,16 @@ class Hub:
             case "finished":
                 member.finished = True
                 self._compare_ends()
-            case "call":
-                self._compare(rank, message.get("number", 0), str(message.get("name")))
+                self._has_told(rank)
+            case "calls":
+                for number, name in enumerate(message.get("names", []), message.get("number", 0)):
+                    self._compare(rank, number, str(name))
             case "failed call":
-                self._to_note.append(member.channel)
+                others = {other for other, each in self._members.items() if other != rank and not each.finished}
+                self._to_note.append((rank, others))
+                for other in others:
+                    self._members[other].channel.send(about="question", number=_CALLS)
+                self._has_told(rank)
                 if message.get("text") is not None:
                     self._note_failed(rank, message.get("number", 0), str(message.get("text")))
             case "stuck":
@@ -239,10 +243,20 @@ class Hub:
                 self._blame(f"{member.name} {message.get('text')}", True, bool(message.get("is_hang")))
             case "error":
                 self._ask_all(rank, bool(message.get("is_late")), message.get("exchange", -1))
+            case "answer" if message.get("number") == _CALLS:
+                self._has_told(rank)
             case "goes on":
                 self._withdraw(member.name)
             case "answer" if self._inquiry is not None and message.get("number") == self._inquiry.number:
                 self._inquiry.answers[rank] = message
+
+    def _has_told(self, rank: int) -> None:
+        """All calls of a rank up to now have been compared."""
+        for asker, others in list(self._to_note):
+            others.discard(rank)
+            if not others:
+                self._to_note.remove((asker, others))
+                self._members[asker].channel.send(about="noted")
 
     def _compare(self, rank: int, number: int, name: str) -> None:
         """Compares a rank's call with those of the same number of other ranks."""
