@@ -23,7 +23,7 @@ SEED = 53
 
 
 def test_every_call_gives_the_same_bits(device: torch.device, capsys: pytest.CaptureFixture[str]) -> None:
-    assert fuzz.main(["--scenes", "4", "--seed", "12", "--device", device.type]) == 0, capsys.readouterr().out
+    assert fuzz.main(["--scenes", "2", "--seed", "13", "--device", device.type]) == 0, capsys.readouterr().out
 
 
 @pytest.mark.slow

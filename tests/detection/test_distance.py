@@ -470,3 +470,12 @@ def test_a_trajectory_whose_nearest_segment_does_not_converge_says_so() -> None:
     path = pgccd.Trajectory(place, upright, rotation=turn)
     found = pgccd.distance(pgccd.Scene([tetrahedron()], [0, 0]), path, pairs=PAIR)
     assert not found.converged.item() and found.upper - found.lower > 1e-6
+
+
+def test_convergence_is_that_of_the_smaller_body() -> None:
+    """A small body turns so fast near a large one that the search does not end."""
+    sheet = pgccd.Mesh([[-1e7, -1e7, 0.0], [1e7, -1e7, 0.0], [0.0, 1e7, 0.0]], [[0, 1, 2]])
+    turn = np.array([[0.0, 0, 0], 3e5 * directions(np.random.default_rng(1), 1)[0]])
+    place = np.array([[0.0, 0, 0], [0.0, 0, 1.3]])
+    found = Moving([sheet, tetrahedron()], place, np.tile(UPRIGHT, (2, 1)), place, turn).distance()
+    assert 1e-6 < found.upper.item() - found.lower.item() < 1.0 and not found.converged.item()

@@ -256,9 +256,9 @@ def _without_offset(given: Given) -> bool:
     return float(given.scene.poses[0].abs().max()) < 1e3 and given.scene.arguments["tolerance"] is None
 
 
-def _approach_is_cheap(given: Given) -> bool:
-    """`approaching` of hundreds of contacts of a pair takes seconds: in one such scene of four."""
-    return given.scene.layout != "crossing" or given.scene.seed % 40 == 0
+def _approaches(given: Given) -> bool:
+    """One scene of two, of hundreds of contacts of a pair one of four: `approaching` takes longer than all others."""
+    return given.scene.seed % (40 if given.scene.layout == "crossing" else 4) < 2
 
 
 _REPORTS = ("first", "all", "any", "earliest")
@@ -266,7 +266,7 @@ _REPORTS = ("first", "all", "any", "earliest")
 CALLS: dict[str, tuple[Callable[[Given], Columns], Callable[[Given], bool]]] = {
     **{f"detect {report}": (partial(_detected, report), _always) for report in _REPORTS},
     "surface normals": (_of_surfaces, _always),
-    "approaching": (_approaching, _approach_is_cheap),
+    "approaching": (_approaching, _approaches),
     "copies of contacts": (_copied_results, _always),
     "resolve": (_resolved, _always),
     "resolve movable": (partial(_resolved, movable=True), _always),
