@@ -287,6 +287,7 @@ def test_hulls_of_pybullet(client: tuple[Any, int]) -> None:
     slack = slack_of_boxes(bullet, simulator)
     assert slack.min() > -1e-6 and slack.max() < 0.05
     assert len(simulator.scene.meshes.meshes[0].faces) == 4
+    assert simulator.scene.margin is not None and simulator.scene.margin.tolist() == [1e-3]
     # Bodies inside of it are found: the hull is closed.
     peg = bullet.createCollisionShape(bullet.GEOM_BOX, halfExtents=[0.01, 0.01, 0.01])
     bullet.createMultiBody(1.0, peg, basePosition=[1.6, 2.3, 3.2])
