@@ -41,7 +41,7 @@ DEMO = ["viz"]
 PURPOSES = {
     "test": ["mesh", "viz", "live", "robots", "mpi", "test"],
     "docs": ["docs"],
-    "lint": ["lint"],
+    "lint": ["lint", "live"],
     "wheel": ["wheel"],
     "bench-peers": ["peers", "mesh", "viz"],
 }

@@ -129,8 +129,12 @@ def calls(folder: Path) -> dict[str, Call]:
             {"vertices": ("faces", "origin")},
         ),
         "Mesh.from_trimesh": Call(pgccd.Mesh.from_trimesh, {"mesh": mesh, "origin": "centroid", "weld": True}),
-        "Mesh.load": Call(pgccd.Mesh.load, {"path": folder / "mesh.obj", "origin": "centroid", "weld": True}),
-        "Mesh.load_all": Call(pgccd.Mesh.load_all, {"path": folder / "mesh.obj", "origin": "centroid", "weld": True}),
+        "Mesh.load": Call(
+            pgccd.Mesh.load, {"path": folder / "mesh.obj", "origin": "centroid", "weld": True, "unit": "mm"}
+        ),
+        "Mesh.load_all": Call(
+            pgccd.Mesh.load_all, {"path": folder / "mesh.obj", "origin": "centroid", "weld": True, "unit": "mm"}
+        ),
         "MeshSet": Call(pgccd.MeshSet, {"meshes": [mesh], "device": "cpu"}),
         "Scene": Call(
             pgccd.Scene,

@@ -179,7 +179,7 @@ def test_versions_agree() -> None:
 
 def test_only_formatters_and_the_compiler_are_pinned() -> None:
     extras = PROJECT["project"]["optional-dependencies"]
-    assert {"docs", "lint", "live", "mesh", "mpi", "robots", "test", "viz", "wheel"} == set(extras)
+    assert {"docs", "lint", "live", "mesh", "mpi", "peers", "robots", "test", "viz", "wheel"} == set(extras)
     pinned = {name for name, requirements in extras.items() if any("==" in one for one in requirements)}
     assert pinned == {"lint"} and not any("==" in one for one in PROJECT["project"]["dependencies"])
     assert all("==13.0." in one for one in PROJECT["dependency-groups"]["cuda-compiler"])

@@ -63,9 +63,15 @@ class _Derived:
             return alike and torch.equal(self.seen, column)
         return self.column is column and self.seen == _version(column) is not None
 
-    def is_still(self, column: Tensor) -> bool:
-        """As `is_of`, but writes to tensors made in inference mode, which torch does not count, are not seen."""
-        return self.is_of(column) or (self.column is column and column.is_inference() and column.device.type != "cpu")
+
+class _Fixed(_Derived):
+    """Of a column that is never written to: writes to tensors made in inference mode, which torch does not count, are
+    not seen.
+    """
+
+    def is_of(self, column: Tensor) -> bool:
+        is_uncounted = self.column is column and column.is_inference() and column.device.type != "cpu"
+        return is_uncounted or super().is_of(column)
 
 
 def _version(column: Tensor) -> int | None:
@@ -250,8 +256,8 @@ class Scene:
 
     def _remember(self) -> None:
         self._validated_index = _Derived(self.mesh_index, None)
-        self._fixed = None if self.self_collision is None else _Derived(self.self_collision, None)
-        self._fixed_exclude = None if self.exclude is None else _Derived(self.exclude, None)
+        self._fixed = None if self.self_collision is None else _Fixed(self.self_collision, None)
+        self._fixed_exclude = None if self.exclude is None else _Fixed(self.exclude, None)
 
     @property
     def radius(self) -> Tensor:
@@ -370,7 +376,7 @@ class Scene:
             given = getattr(self, name)
             if fixed is None and given is None:
                 continue
-            if fixed is None or not isinstance(given, Tensor) or not fixed.is_still(given):
+            if fixed is None or not isinstance(given, Tensor) or not fixed.is_of(given):
                 raise ValueError(f"{name}: it is fixed, but was written or replaced: make a new Scene")
 
     def __getitem__(self, rows: Tensor | slice | Sequence[int]) -> Scene:

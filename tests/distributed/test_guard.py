@@ -7,38 +7,16 @@ import json
 import os
 import secrets
 import socket
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 
 import pytest
+from support.guards import TOKEN, Ranks, fail, ranks_of, wait_for
 
 from pgccd.distributed import RankFailureError
-from pgccd.distributed.guard import Guard, Hub, channel, guard, hub, turns
+from pgccd.distributed.guard import Guard, channel, guard, hub, turns
 from pgccd.distributed.guard.channel import join
-
-TOKEN = b"of this job"
-
-
-class Ranks:
-    """Three ranks in one process, of a job of `size`."""
-
-    def __init__(self, size: int = 3) -> None:
-        self.hub = Hub("127.0.0.1", TOKEN, size)
-        self.guards = [
-            Guard(self.channel(rank), rank, timeout=1.0, hub=self.hub if rank == 0 else None) for rank in range(3)
-        ]
-
-    def channel(self, rank: int, token: bytes = TOKEN) -> channel.Channel:
-        return join(("127.0.0.1", self.hub.port), token, {"rank": rank, "name": f"process {rank}"}, 5.0)
-
-    def kill(self, rank: int) -> None:
-        """Closes the rank's connection, as the operating system does when a process ends."""
-        killed = self.guards[rank]
-        killed._closed.set()
-        killed._channel.socket.shutdown(socket.SHUT_RDWR)
-        killed._thread.join()
 
 
 @pytest.fixture
@@ -52,37 +30,12 @@ def incomplete(monkeypatch: pytest.MonkeyPatch) -> Iterator[Ranks]:
     yield from ranks_of(4, monkeypatch)
 
 
-def ranks_of(size: int, monkeypatch: pytest.MonkeyPatch) -> Iterator[Ranks]:
-    monkeypatch.setattr(guard, "_GRACE_SECONDS", 0.5)
-    monkeypatch.setattr(hub, "_ANSWER_SECONDS", 1.0)
-    monkeypatch.setattr(hub, "_SECOND_LOOK_SECONDS", 0.2)
-    three = Ranks(size)
-    yield three
-    for one in three.guards[::-1]:
-        one.close()
-        one._ends_hard = False  # otherwise the test process would exit like a failed rank
-
-
 @pytest.fixture
 def exits(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Exit codes with which the process would have ended."""
     codes: list[int] = []
     monkeypatch.setattr(guard.os, "_exit", codes.append)
     return codes
-
-
-def fail(rank: Guard, after: float = 0.0) -> str:
-    with pytest.raises(RuntimeError) as caught, rank.waiting("halo"):
-        time.sleep(after)
-        raise RuntimeError("connection closed by peer")
-    return str(caught.value)
-
-
-def wait_for(is_so: Callable[[], object]) -> None:
-    deadline = time.monotonic() + 20.0
-    while not is_so():
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
 
 
 def test_no_rank_is_blamed_when_all_are_alive(ranks: Ranks, exits: list[int]) -> None:
@@ -521,123 +474,6 @@ def test_ranks_do_not_believe_a_hub_without_the_token() -> None:
         with pytest.raises(RuntimeError, match="does not belong to this job$"):
             join(address, TOKEN, {"rank": 1}, 5.0)
         thread.join()
-
-
-def test_calls_are_compared(ranks: Ranks, exits: list[int]) -> None:
-    first, second, third = ranks.guards
-    for name in ("make", "turn"):  # slow ranks are not at fault
-        for one in ranks.guards:
-            assert one.begin_call(name)
-            assert not one.begin_call("within it")
-            one.end_call()
-    wait_for(lambda: ranks.hub._members[2].calls == 2)
-    assert ranks.hub._calls == {} and ranks.hub._verdict is None
-    third.begin_call("turn")
-    wait_for(lambda: ranks.hub._members[2].calls == 3)
-    assert ranks.hub._verdict is None
-    second.begin_call("make")
-    text = "rank 1 (process 1) calls make where rank 2 (process 2) calls turn (call 3)"
-    for one in ranks.guards:
-        wait_for(lambda one=one: one._verdict)
-        assert one._verdict == text
-    with pytest.raises(RankFailureError, match="about to call turn"):
-        first.begin_call("turn")
-    with pytest.raises(RankFailureError, match="calls make where"), second.waiting("a message"):
-        second.require_no_verdict()
-
-
-def test_an_error_in_a_call_is_settled_when_no_rank_is_in_it(ranks: Ranks, exits: list[int]) -> None:
-    first, second, third = ranks.guards
-    for one in ranks.guards:
-        one.begin_call("turn")
-    second.fail_call(ValueError("of one"))
-    second.end_call()
-    first.fail_call(ValueError("of another"))
-    assert first._has_failed_call and not first._settled.is_set()
-    third.end_call()  # it has made the call
-    third.begin_call("next")
-    third.end_call()
-    second.begin_call("next")  # waits until this is known
-    assert second._settled.is_set() and not second._has_failed_call and ranks.hub._failed_calls == {}
-    assert ranks.hub._verdict is None
-
-
-def test_a_rank_waits_in_a_call_that_another_has_left(ranks: Ranks, exits: list[int]) -> None:
-    first, second, third = ranks.guards
-    for one in ranks.guards:
-        one.begin_call("turn")
-    with third.waiting("halo"):
-        second.fail_call(ValueError("of one"))
-        second.end_call()
-        with pytest.raises(RankFailureError, match=r"rank 1 \(process 1\) failed in turn: ValueError: of one"):
-            second.begin_call("next")
-    with pytest.raises(RankFailureError, match="failed in turn"):
-        first.fail_call(ValueError("that follows"))
-
-
-def test_a_rank_that_has_finished_is_missed_by_a_call(ranks: Ranks, exits: list[int]) -> None:
-    for one in ranks.guards:
-        one.begin_call("turn")
-        one.end_call()
-    ranks.guards[2].close()
-    wait_for(lambda: ranks.hub._members[2].finished)
-    assert ranks.hub._verdict is None
-    ranks.guards[1].begin_call("next")
-    wait_for(lambda: ranks.hub._verdict)
-    expected = "rank 2 has ended early, after 1 calls, where rank 1 (process 1) calls next (call 2)"
-    assert ranks.hub._verdict == expected
-
-
-def test_stacks_are_printed_if_ranks_hang(ranks: Ranks, exits: list[int], capfd: pytest.CaptureFixture[str]) -> None:
-    for one in ranks.guards:
-        one.activity = "a loop"
-    with ranks.guards[0].waiting("halo"), ranks.guards[1].waiting("halo"):
-        wait_for(lambda: ranks.guards[2]._verdict)
-        said = ""
-
-        def is_told() -> bool:
-            nonlocal said
-            said += capfd.readouterr().err
-            return all(f"pgccd: rank {rank} is in a loop:" in said for rank in range(3))
-
-        wait_for(is_told)
-    assert "test_stacks_are_printed_if_ranks_hang" in said and "rank 2 (process 2) hangs in a loop" in said
-
-
-def test_the_error_that_ends_a_program_is_told(ranks: Ranks, exits: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(guard.sys, "last_value", KeyError("of the user"), raising=False)
-    ranks.guards[1]._leave()
-    wait_for(lambda: ranks.hub._verdict)
-    assert ranks.hub._verdict == "rank 1 (process 1) failed in the start: KeyError: 'of the user'"
-
-
-def test_the_verdict_is_printed_last(ranks: Ranks, exits: list[int], capsys: pytest.CaptureFixture[str]) -> None:
-    ranks.kill(1)
-    wait_for(lambda: ranks.guards[0]._verdict)
-    for one in ranks.guards[::-1]:
-        one.close()
-    sys.stderr.write("a traceback\n")
-    ranks.guards[0]._leave()
-    assert capsys.readouterr().err.splitlines()[-2:] == ["a traceback", "pgccd: rank 1 (process 1) has died"]
-
-
-def test_two_threads_cannot_call_at_the_same_time(ranks: Ranks, exits: list[int]) -> None:
-    first = ranks.guards[0]
-    first.begin_call("turn")
-    problems: list[str] = []
-
-    def call() -> None:
-        try:
-            first.begin_call("next")
-        except RuntimeError as error:
-            problems.append(str(error))
-
-    for _ in range(2):
-        thread = threading.Thread(target=call)
-        thread.start()
-        thread.join()
-        first.end_call()
-    assert problems == ["next: another thread of rank 0 is in such a call"] and first._calls == 2
 
 
 def test_a_changed_line_ends_the_job(ranks: Ranks, exits: list[int]) -> None:

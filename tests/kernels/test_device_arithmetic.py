@@ -100,7 +100,7 @@ def arms() -> None:
     joints = [Joint("", "fixed", -1, 0.0 * z, upright, z)]
     joints += [Joint(str(k), kind, k, along_x, upright, z, k) for k, kind in enumerate(("revolute", "prismatic"))]  # type: ignore[arg-type]
     links = [(str(k), k + 1, [shapes.box(np.full(3, 0.2))]) for k in range(2)]
-    robot = robots.Robot("arm", Tree(joints), links, ["0", "1"], [(-1.0, 1.0)] * 2, [])
+    robot = robots.Robot("arm", Tree(joints), links, ["0", "1"], [(-1.0, 1.0)] * 2, lambda *_: None)
     obstacles = robots.Obstacles([pgccd.Mesh.box([0.2] * 3)], torch.tensor([[1.0, 0.5, 0.1]]))
     robot.certify(torch.tensor([[[0.0, 0.0], [1.5, 0.3], [0.0, 0.0]]], dtype=torch.float64), obstacles)
     robot.trajectory(torch.tensor([[0.0, 0.0], [0.5, 0.3]], dtype=torch.float64))

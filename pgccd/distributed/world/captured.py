@@ -114,6 +114,9 @@ class CapturedWorld(RankSteps[WorldStep, _Committed, "_WorldGraph"]):
         movable: with `resolve`, called with the `Bodies`; returns (N,) bool, the bodies that may be stopped. Default:
             all.
 
+    Attributes:
+        comm: between the ranks.
+
     Raises:
         TypeError, ValueError: naming the argument; `graph` is True with `resolve`.
 

@@ -1,6 +1,6 @@
 """Keyword arguments of `World.create`, `World.load` and `World.add`."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Literal, TypedDict
 
 from torch import Tensor
@@ -11,6 +11,11 @@ from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.partition.balance import BalanceOptions
 from pgccd.distributed.partition.interface import Triple
 from pgccd.motion.paths import PathKind
+
+#: Names of payload.
+Names = Collection[str]
+#: Which bodies may be stopped.
+Movable = Tensor | Sequence[bool] | None
 
 
 class WorldOptions(TypedDict, total=False):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from os import PathLike
@@ -46,7 +46,7 @@ from pgccd.distributed.world.columns import (
     scene_columns,
     scene_of,
 )
-from pgccd.distributed.world.options import NewBodies, NewWorld, WorldOptions
+from pgccd.distributed.world.options import Movable, Names, NewBodies, NewWorld, WorldOptions
 from pgccd.distributed.world.own_bodies import OwnBodies
 from pgccd.distributed.world.population import with_more, without
 from pgccd.distributed.world.resolve import (
@@ -66,10 +66,6 @@ from pgccd.resolution.results import M
 from pgccd.resolution.trajectories import TrajectoryResolution, resolve_segments
 from pgccd.runtime.stages import StageClock
 
-#: Names of payload.
-Names = Collection[str]
-#: Which bodies may be stopped.
-Movable = Tensor | Sequence[bool] | None
 R = TypeVar("R", bound=Contacts | CollidingPairs)
 
 
@@ -82,7 +78,7 @@ class World(OwnBodies, Generic[R]):
     Attributes:
         comm: between the ranks.
         options: of the detection.
-        path: of the motions of rigid bodies: "arc" or "linear".
+        path: of the motions of rigid bodies: "rigid" or "linear", as of `RigidMotion`.
         census: number and sum of the ids of all bodies, which migration preserves.
         columns: of this rank's own bodies, by name; names of the payload begin with ".".
         steps_made: number of calls of `step`. A loop that searches a step several times has to count its own steps.
@@ -96,8 +92,7 @@ class World(OwnBodies, Generic[R]):
 
     def __init__(self, *given: Never, **named: Never) -> None:
         raise TypeError(
-            "World: it is made by World.create(meshes, lower, upper, position, ...) or World.load(folder, meshes), on "
-            "all ranks together"
+            "World: it is made by World.create(meshes, lower, upper, position, ...) or World.load(folder, ...)"
         )
 
     def _set(

@@ -1,0 +1,59 @@
+"""Ranks with guards in one process."""
+
+from __future__ import annotations
+
+import socket
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from pgccd.distributed.guard import Guard, Hub, channel, guard, hub
+from pgccd.distributed.guard.channel import join
+
+TOKEN = b"of this job"
+
+
+class Ranks:
+    """Three ranks in one process, of a job of `size`."""
+
+    def __init__(self, size: int = 3) -> None:
+        self.hub = Hub("127.0.0.1", TOKEN, size)
+        self.guards = [
+            Guard(self.channel(rank), rank, timeout=1.0, hub=self.hub if rank == 0 else None) for rank in range(3)
+        ]
+
+    def channel(self, rank: int, token: bytes = TOKEN) -> channel.Channel:
+        return join(("127.0.0.1", self.hub.port), token, {"rank": rank, "name": f"process {rank}"}, 5.0)
+
+    def kill(self, rank: int) -> None:
+        """Closes the rank's connection, as the operating system does when a process ends."""
+        killed = self.guards[rank]
+        killed._closed.set()
+        killed._channel.socket.shutdown(socket.SHUT_RDWR)
+        killed._thread.join()
+
+
+def ranks_of(size: int, monkeypatch: pytest.MonkeyPatch) -> Iterator[Ranks]:
+    monkeypatch.setattr(guard, "_GRACE_SECONDS", 0.5)
+    monkeypatch.setattr(hub, "_ANSWER_SECONDS", 1.0)
+    monkeypatch.setattr(hub, "_SECOND_LOOK_SECONDS", 0.2)
+    three = Ranks(size)
+    yield three
+    for one in three.guards[::-1]:
+        one.close()
+        one._ends_hard = False  # otherwise the test process would exit like a failed rank
+
+
+def fail(rank: Guard, after: float = 0.0) -> str:
+    with pytest.raises(RuntimeError) as caught, rank.waiting("halo"):
+        time.sleep(after)
+        raise RuntimeError("connection closed by peer")
+    return str(caught.value)
+
+
+def wait_for(is_so: Callable[[], object]) -> None:
+    deadline = time.monotonic() + 20.0
+    while not is_so():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
