@@ -261,6 +261,7 @@ class Mesh:
             0
         """
         checked_origin(origin)
+        mesh_files.check_unit(unit)
         loaded = mesh_files.load_geometry(path)
         try:
             factor, metres = mesh_files.conversion(path, loaded, unit)
@@ -289,6 +290,7 @@ class Mesh:
             >>> scene = pgccd.Scene(parts)
         """
         checked_origin(origin)
+        mesh_files.check_unit(unit)
         loaded, part = mesh_files.load_geometry(path, apart=True), ""
         meshes = []
         try:

@@ -39,16 +39,21 @@ class Geometry:
         return self if factor == 1.0 else replace(self, vertices=factor * self.vertices)
 
 
+def check_unit(unit: str | None) -> None:
+    """Raises TypeError or ValueError, naming `unit`, unless it is one of `UNITS` or None."""
+    if unit is not None:
+        arguments.choice(unit, "unit", UNITS)
+
+
 def conversion(path: str | PathLike[str], loaded: Any, unit: str | None) -> tuple[float, float | None]:
     """By what lengths of a loaded file are multiplied, and the unit of the result in metres, if it is known.
 
     Raises:
-        TypeError, ValueError: naming `unit`; or the file states an unknown unit.
+        ValueError: the file states an unknown unit.
     """
     stated = unit_of(Path(path), loaded)
     if unit is None:
         return 1.0, stated
-    arguments.choice(unit, "unit", UNITS)
     wanted = UNITS[unit]
     return (1.0 if stated is None else stated / wanted), wanted
 
@@ -134,7 +139,10 @@ def unit_of(path: Path, loaded: Any) -> float | None:
     metres = _METRES.get(word)
     if metres is None:
         raise ValueError(f"expected lengths in one of {', '.join(_METRES)}; got {name!r}")
-    return float(number or 1.0) * metres
+    length = float(number or 1.0) * metres
+    if not 0.0 < length < np.inf:
+        raise ValueError(f"unit: expected a length > 0 in metres, got {length}")
+    return length
 
 
 def _missing_package(error: Exception) -> str | None:

@@ -71,6 +71,10 @@ def read_polygons(path: Path) -> PolygonFile | None:
     found, is_needed = read(data)
     if found is None:
         return None
+    for part in found.parts:
+        for number, polygon in enumerate(part.polygons):
+            if polygon and not 0 <= min(polygon) <= max(polygon) < len(found.vertices):
+                raise ValueError(f"face {number}: {polygon}: there are {len(found.vertices)} vertices")
     every = (polygon for part in found.parts for polygon in part.polygons)
     if is_needed or not all(is_convex(found.vertices[polygon]) for polygon in every if len(polygon) > 3):
         return found
@@ -106,8 +110,11 @@ def is_convex(corners: np.ndarray) -> bool:
     flat, area = _projected(corners)
     edges = np.roll(flat, -1, axis=0) - flat
     edges = edges[(edges != 0.0).any(axis=1)]
-    if len(edges) < 3 or not area > 0.0:
+    if len(edges) < 3:
         return True  # without an area: in any way
+    if not area > _ROUNDING * np.abs(corners - corners[0]).max() ** 2:
+        # On a line, or the halves of an outline that crosses itself, which cancel.
+        return bool(np.linalg.matrix_rank(corners - corners[0], tol=1e-12 * np.abs(corners - corners[0]).max()) < 2)
     after = np.roll(edges, -1, axis=0)
     crosses = edges[:, 0] * after[:, 1] - edges[:, 1] * after[:, 0]
     if crosses.min() < -_ROUNDING * np.abs(crosses).max():

@@ -153,7 +153,7 @@ class Robot:
 
     def _may_leave(self, q: Tensor) -> Tensor:
         """(...): whether in configurations (..., J) a body may be beside the square in place of an infinite plane."""
-        slides = torch.zeros_like(q[..., :1].sum(dim=-1))
+        slides = torch.zeros(q.shape[:-1], dtype=q.dtype, device=q.device)
         for joint in self._tree.joints:
             if joint.kind == "prismatic":
                 slides = slides + (joint.scale * q[..., joint.coordinate] + joint.offset).abs()

@@ -107,12 +107,10 @@ class World(OwnBodies, Generic[R]):
         self.comm, self.path = comm, path
         self.options = replace(options, excluded=Excluded.of(state.exclude))
         self._rank = Rank(Decomposition(comm, state.partition), balance)
-        self._meshes, self._cut = state.meshes, state.cut
-        self.census = census
+        self._meshes, self._cut, self.census = state.meshes, state.cut, census
         self.found: Share | None = None
         self.steps_made, self._seconds = state.steps_made, 0.0
-        self.columns, self._vertices = state.columns, state.vertices
-        self.next_id = state.next_id
+        self.columns, self._vertices, self.next_id = state.columns, state.vertices, state.next_id
         self._resolution_estimates = ResolutionEstimates()
 
     @overload
