@@ -31,6 +31,9 @@ _FORMS: dict[str, tuple[torch.dtype, tuple[int, ...]]] = {
     "normal": (torch.float64, (3,)),
     "segment": (torch.int64, ()),
     "time": (torch.float64, ()),
+    # Of passages.
+    "approach": (torch.float64, ()),
+    "measure": (torch.float64, ()),
 }
 # What else contacts have, and pairs do not.
 _OF_CONTACTS = ("first_toi", "starts_intersecting", "earliest", "approach", "approaching", "segment", "time")

@@ -36,15 +36,15 @@ def load_mjcf(path: str | PathLike[str]) -> Robot:
     `Robot.untested`; a warning names pairs that are tested and touch in the model's initial configuration.
 
     A joint that an `equality` ties to another one by a linear `polycoef` has no value of its own. Constraints that are
-    not active are left out. Tendons without an `equality` exert forces only, and are not read.
+    not active, or disabled by a flag, are left out. Tendons without an `equality` exert forces only, and are not read.
 
     Args:
         path: of the MJCF file.
 
     Raises:
         FileNotFoundError: it does not exist.
-        ValueError: it cannot be read; or a joint is free or a ball, a geom an SDF; or there is a flex, or a constraint
-            that ties joints in another way, tendons, or bodies that move; naming it.
+        ValueError: it cannot be read; or a joint is free or a ball, a geom an SDF, a body mocap; or there is a flex, or
+            a constraint that ties joints in another way, tendons, or bodies that move; naming it.
         ImportError: mujoco (extra `robots`) is not installed.
 
     Example:
@@ -153,9 +153,14 @@ def _followed_joints(mujoco: Any, model: Any, path: Path) -> dict[int, tuple[int
     """
     if model.nflex:
         raise ValueError(f"path: {path}: flex {model.flex(0).name!r}: expected bodies that do not deform")
+    for body in np.flatnonzero(model.body_mocapid >= 0).tolist():
+        named = f"body {_name(model.body(body))!r}"
+        raise ValueError(f"path: {path}: {named}: expected a body that joints move, or nothing, got mocap")
     kinds, found = mujoco.mjtEq, {}
+    off = int(mujoco.mjtDisableBit.mjDSBL_EQUALITY) | int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+    is_off = bool(int(model.opt.disableflags) & off)
     for k in range(model.neq):
-        if not model.eq_active0[k]:
+        if is_off or not model.eq_active0[k]:
             continue
         kind = kinds(int(model.eq_type[k]))
         one, other = int(model.eq_obj1id[k]), int(model.eq_obj2id[k])

@@ -367,3 +367,19 @@ def test_errors_of_options() -> None:
         pgccd.audit(rollout, rollout)  # type: ignore[arg-type]
     with pytest.warns(UserWarning, match="it has one body"):
         pgccd.audit(pgccd.Scene([pgccd.Mesh.box([1.0, 1.0, 1.0])]), frames_of([[0.0] * 3], [[1.0] * 3]))
+
+
+def test_states_of_passages() -> None:
+    """As those of other contacts, with their own columns."""
+    scene = pgccd.Scene([pgccd.Mesh.box([1.0, 1.0, 1.0])], [0, 0])
+    upright = torch.tensor([[1.0, 0.0, 0.0, 0.0]] * 2)
+    frames = [(torch.tensor([[0.0, 0, 0], [x, 0.1, 0.2]]), upright) for x in (-3.0, 3.0, 3.0)]
+    passages = pgccd.audit(scene, frames).passages
+    assert len(passages) == 1
+    again = pgccd.auditing.results.Passages.from_state_dict(passages.state_dict(), scene)
+    for name, column in passages.columns.items():
+        assert torch.equal(getattr(again, name), column), name
+    assert float(again.measure) == float(passages.measure) > 0.0
+    state = passages.state_dict() | {"measure": passages.measure.float()}
+    with pytest.raises(TypeError, match="^measure: expected torch.float64"):
+        type(passages).from_state_dict(state, scene)

@@ -229,6 +229,11 @@ def test_couplings(tmp_path: Path) -> None:
     turn = (r.numpy() * data.xquat[1:]).sum(axis=1)
     assert np.allclose(np.abs(turn), 1.0, atol=1e-12)
     assert load(joint.format(0, 2, "0 1 0 0 0").replace("joint ", 'joint active="false" ')).joint_count == 4
+    for flag in ("equality", "constraint"):
+        disabled = f'<option><flag {flag}="disable"/></option>'
+        assert load(joint.format(0, 2, "0 1 0 0 0"), disabled).joint_count == 4
+    with pytest.raises(ValueError, match="body 'hand': expected a body that joints move, or nothing, got mocap"):
+        load("", '<worldbody><body name="hand" mocap="true"><geom size="1"/></body></worldbody>')
     for equality, message in [
         (
             joint.format(0, 2, "0 1 0.5 0 0"),
