@@ -70,8 +70,9 @@ class _Fixed(_Derived):
     """
 
     def is_of(self, column: Tensor) -> bool:
-        is_uncounted = self.column is column and column.is_inference() and column.device.type != "cpu"
-        return is_uncounted or super().is_of(column)
+        if super().is_of(column):
+            return True
+        return self.column is column and column.device.type != "cpu" and column.is_inference()
 
 
 def _version(column: Tensor) -> int | None:

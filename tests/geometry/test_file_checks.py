@@ -276,10 +276,10 @@ def test_readers_that_are_not_installed_are_named(
     module = {"pycollada": "collada"}.get(package, package.replace("-", "_"))
     import_module = builtins.__import__
 
-    def without(wanted: str, *rest: Any) -> Any:
+    def without(wanted: str, *rest: Any, **more: Any) -> Any:
         if wanted == module:
             raise ModuleNotFoundError(f"No module named {wanted!r}")
-        return import_module(wanted, *rest)
+        return import_module(wanted, *rest, **more)
 
     monkeypatch.setattr(builtins, "__import__", without)
     monkeypatch.setattr(trimesh.util, "has_module", lambda wanted: wanted != module)

@@ -98,7 +98,14 @@ MUTANTS = [
     Mutant(
         "mjcf-coupling-factor", MJCF, "(coordinate, factor * scale,", "(coordinate, scale,", ON_UNTESTED, switched=False
     ),
-    Mutant("mjcf-inactive-constraints", MJCF, "if not model.eq_active0[k]:", "if False:", ON_UNTESTED, switched=False),
+    Mutant(
+        "mjcf-inactive-constraints",
+        MJCF,
+        "if is_off or not model.eq_active0[k]:",
+        "if False:",
+        ON_UNTESTED,
+        switched=False,
+    ),
     Mutant("mjcf-higher-terms", MJCF, "if other < 0 or any(higher):", "if other < 0:", ON_UNTESTED, switched=False),
     Mutant(
         "srdf-enabled-stay-out",
