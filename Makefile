@@ -77,10 +77,9 @@ $(ENVIRONMENT): bootstrap.py pyproject.toml $(CUDA_SETTING)
 	$(PYTHON) bootstrap.py $(PURPOSES)
 	@touch -r build/began $@  # so that the extension is newer if it has been compiled
 
-# Order only: a new environment does not make the packages of purposes outdated.
+# Order only: a new environment does not make the packages of purposes outdated. The environment may have come with them.
 .venv/pgccd-for-%: pyproject.toml | $(ENVIRONMENT)
-	$(PYTHON) bootstrap.py $*
-	@touch $@
+	@test $@ -nt pyproject.toml || $(PYTHON) bootstrap.py $*
 
 $(EXTENSION): $(ENVIRONMENT) $(EXTENSION_INPUTS)
 	$(VENV_PYTHON) setup.py --quiet build_ext --inplace

@@ -5,7 +5,7 @@
 With a network it installs torch, what building, pgccd itself and the pictures of `make demo` need, where there is a GPU
 a CUDA compiler, and for each purpose its packages of pyproject.toml. If the Python that runs it already has torch, that
 torch is used and never replaced. Without a network, missing packages are skipped. An existing .venv is kept, and pgccd
-is compiled unless it has been. For each purpose it leaves the file .venv/pgccd-for-PURPOSE.
+is compiled unless it has been. For each purpose of which no package is missing it leaves .venv/pgccd-for-PURPOSE.
 
 Environment: PGCCD_CUDA=auto|0|1 as in build_support/extensions.py. auto, the default, installs a CUDA compiler only
 where torch sees a GPU and no nvcc is found; 1 installs it wherever none is found, and fails without.
@@ -117,7 +117,8 @@ def prepare(setting: str, purposes: list[str]) -> None:
             EXTENSION.touch()
         others.result()
     for purpose in purposes:
-        (VENV / f"pgccd-for-{purpose}").touch()
+        if not missing_of([requirement for extra in PURPOSES[purpose] for requirement in EXTRAS[extra]]):
+            (VENV / f"pgccd-for-{purpose}").touch()
 
 
 def packages_of(purposes: list[str]) -> list[str]:
@@ -163,7 +164,7 @@ def install_torch() -> dict[str, Any]:
 
 def install_packages(torch_version: str, wanted: list[str]) -> None:
     """Installs those wanted that are missing, as far as they can be had; never another torch."""
-    missing = ask(VENV_PYTHON, PRINT_UNMET, *wanted)
+    missing = missing_of(wanted)
     if missing and index_is_reachable():
         constraints = VENV / "constraints.txt"
         constraints.write_text(f"torch=={torch_version}\n")
@@ -171,9 +172,14 @@ def install_packages(torch_version: str, wanted: list[str]) -> None:
         if not install("packages", *options, *missing):
             for requirement in missing:  # a requirement unavailable on this platform must not block the others
                 install(requirement, *options, requirement)
-        missing = ask(VENV_PYTHON, PRINT_UNMET, *wanted)
+        missing = missing_of(wanted)
     if missing:
         say(f"continuing without {', '.join(missing)}")
+
+
+def missing_of(wanted: list[str]) -> list[str]:
+    """The requirements that .venv does not meet."""
+    return list(ask(VENV_PYTHON, PRINT_UNMET, *wanted))
 
 
 def install_cuda_compiler(torch_cuda: str, has_gpu: bool, is_forced: bool) -> None:

@@ -88,13 +88,18 @@ def describe(value: Any) -> str:
 
 
 def device(value: Any, name: str = "device") -> torch.device:
-    """The value as a `torch.device`."""
+    """The value as a `torch.device` that is there."""
     if not isinstance(value, (str, torch.device)):
         raise TypeError(f'{name}: expected a torch.device or its name, such as "cuda", got {describe(value)}')
     try:
-        return torch.device(value)
+        chosen = torch.device(value)
     except RuntimeError as error:
         raise ValueError(f'{name}: expected a torch.device or its name, such as "cuda", got {value!r}') from error
+    if chosen.type == "cuda":
+        count = torch.cuda.device_count()
+        if (chosen.index or 0) >= count:
+            raise ValueError(f"{name}: {chosen} is not available: torch sees {count} CUDA devices")
+    return chosen
 
 
 def path(value: Any, name: str) -> Path:
@@ -147,7 +152,9 @@ def real_numbers(values: Any, name: str, expected: str, with_gradient: bool = Fa
     """
     values = as_tensor(values, name)
     try:
-        dtype = torch.as_tensor(values).dtype
+        given = torch.as_tensor(values)
+        # Lists of floats have the default dtype, which may be float16; their digits are read below.
+        dtype = given.dtype if hasattr(values, "dtype") or not given.is_floating_point() else torch.float64
     except (TypeError, ValueError, RuntimeError, OverflowError) as error:
         raise TypeError(f"{name}: expected {expected}, got {describe(values)}") from error
     if dtype.is_complex or dtype == torch.bool or (dtype.is_floating_point and dtype.itemsize < 4):

@@ -334,3 +334,31 @@ def test_odd_but_valid(device: torch.device) -> None:
     assert unused.radius < 2 and len(unused.vertices) == 13
     single = pgccd.RigidMotion(**{k: v.to(device) for k, v in poses(position_t0=torch.zeros(3, 3).double()).items()})
     assert single.position_t1.dtype == torch.float64
+
+
+def test_devices_that_are_not_there_are_named() -> None:
+    """Before torch initialises a driver, whose errors name no argument."""
+    missing = f"cuda:{torch.cuda.device_count()}"
+    match = f"^device: {missing} is not available"
+    scene = pgccd.Scene([tetrahedron()])
+    with pytest.raises(ValueError, match=match):
+        pgccd.Scene([tetrahedron()], device=missing)
+    with pytest.raises(ValueError, match=match):
+        scene.to(missing)
+    with pytest.raises(ValueError, match=match):
+        pgccd.Scene.from_state_dict(scene.state_dict(), missing)
+    with pytest.raises(ValueError, match=match):
+        pgccd.sim.Model(pgccd.sim.ModelConfig(robots=2), device=missing)
+    for wrong in ("nonsense", missing):
+        with pytest.raises(ValueError, match="^device: "):
+            pgccd.distributed.connect(wrong)
+
+
+def test_numbers_under_another_default_dtype() -> None:
+    """Lists keep their digits, whatever the default dtype is."""
+    torch.set_default_dtype(torch.float16)
+    try:
+        scene = pgccd.Scene([tetrahedron()], margin=[0.1])
+    finally:
+        torch.set_default_dtype(torch.float32)
+    assert scene.margin is not None and scene.margin.tolist() == [0.1]

@@ -31,7 +31,8 @@ class Distances:
         time: (K,) float64 in [0, 1], along the whole motion; nan where `upper` is inf. If several times and points are
             equally near within the tolerance, these are of any of them.
         points: (K, 2, 3) float64, world frame: a point of the surface of i and one of j at `time`, on the meshes, not
-            their margins; nan where `upper` is inf. Not certified: rounded, as world coordinates are.
+            their margins; nan where `upper` is inf. Not certified: rounded, as world coordinates are. Where surfaces
+            intersect, both are points near the intersection, which may be apart: `pgccd.detect` has the first contact.
         converged: (K,) bool: whether `upper` - `lower` is at most the tolerance, or `lower` above the cutoff.
 
     Example:

@@ -35,7 +35,8 @@ class TrajectoryResolution:
         stopped_by: (N,) int64, index of the body whose contact stopped this one, as of `Resolution`; -1 for none.
         touching_at_start: (P, 2) int64 pairs i <= j, sorted, that touch at the beginning of the first segment.
         unresolved: (U, 2) int64 pairs i <= j, sorted, others that are not proven free in some segment; in each of them
-            a body may not be stopped, or a margin is larger than in the segment before.
+            a body may not be stopped, or a margin is larger than in the segment before, or a waypoint is not exactly
+            where the segment before it ends (the rounding of `rotation`; a float32 rotation makes 1e-7 rad).
         rounds: number of detections in rounds, over all segments.
     """
 

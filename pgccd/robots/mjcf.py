@@ -23,7 +23,7 @@ def load_mjcf(path: str | PathLike[str]) -> Robot:
     """A robot from an MJCF file: one body a MuJoCo body with geoms that may collide, its origin at its last joint.
 
     Boxes and meshes are taken as they are (MuJoCo itself takes the convex hulls of meshes). Cylinders and ellipsoids
-    are polyhedra around them, at most 0.13 % and 0.8 % larger; spheres are exact to 1e-9 of their radius, capsules to
+    are polyhedra around them, at most 0.13 % and 0.8 % larger; spheres are exact to 1.3e-9 of their radius, capsules to
     rounding; height fields are solids with their base. Planes are infinite, whatever their size: in their place are
     squares of twice the robot's reach and distance at least, and a configuration in which the robot may leave them is
     invalid.

@@ -16,7 +16,7 @@ from pgccd.motion.paths import RigidMotion
 from pgccd.robots.certificate import Certificate, Verdict
 from pgccd.robots.obstacles import Obstacles
 from pgccd.robots.robot import LARGEST_VALUE, Robot
-from pgccd.robots.stray import MOST_TURN, turns
+from pgccd.robots.stray import LONGEST_TURN, MOST_TURN, turns
 
 # Bodies in one call.
 _BODIES_AT_ONCE = 400_000
@@ -29,9 +29,6 @@ _TOLERANCE, _MARGIN = 0.125, 0.25
 # A step is split into at most so many parts, and not if it is shorter than this part of its segment: then rounding
 # decides.
 _MOST_PARTS, _SHORTEST = 8, 2.0**-30
-# Radians that a link may turn between two waypoints, the turns of all joints added: a segment is first split into about
-# as many parts.
-_LONGEST_TURN = 1e4
 # Configurations in which a pair that comes near is looked at.
 _WITNESSES = 16
 
@@ -175,7 +172,7 @@ class PathSearch:
         scene = self._scene if self._scene.device == q.device else self._scene.to(q.device)
         found = Certificate._without_contact(len(q), robot, q.device)
         valid = (robot._magnitudes(q) <= LARGEST_VALUE).flatten(1).all(dim=1) & ~robot._may_leave(q).any(dim=1)
-        valid &= (self._turns(q[:, 1:] - q[:, :-1]) <= _LONGEST_TURN).all(dim=1)
+        valid &= (self._turns(q[:, 1:] - q[:, :-1]) <= LONGEST_TURN).all(dim=1)
         if obstacles is not None:
             valid &= obstacles._is_sound(len(q)).to(q.device)
         found.verdict[~valid] = int(Verdict.INVALID)

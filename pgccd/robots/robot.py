@@ -24,10 +24,11 @@ from pgccd.motion.trajectory import Trajectory
 from pgccd.robots.kinematics import Joint, Poses, Tree
 from pgccd.robots.obstacles import Obstacles
 from pgccd.robots.shapes import PLANE, ThickSurface, joined
-from pgccd.robots.stray import MOST_TURN, Chains, pose_error, stray_bound, turns
+from pgccd.robots.stray import LONGEST_TURN, MOST_TURN, Chains, pose_error, stray_bound, turns
 
 if TYPE_CHECKING:
     from pgccd.robots.certificate import Certificate
+    from pgccd.robots.validator import MotionValidator
 
 #: Larger values of joints, radians or length units, have no poses.
 LARGEST_VALUE = 1e6
@@ -337,14 +338,18 @@ class Robot:
         arcs while joints move at constant rates. A contact of it may be due to these margins; `certify` makes them as
         small as needed.
 
+        If a link turns by more than a radian between two waypoints, all joints added, every segment is split into the
+        same number of equal parts: times along the whole path stay what they are, and a segment of `q` becomes
+        `segment_count / (T - 1)` segments.
+
         Args:
             q: (T, J) configurations of the waypoints.
             obstacles: as for `scene`; the same in all environments.
 
         Raises:
             TypeError, ValueError: q has another type or shape or requires grad, or a joint has a value larger than 1e6;
-                or the robot may leave the square in place of an infinite plane; or links turn by more than a radian
-                between two waypoints, the turns of all joints added.
+                or the robot may leave the square in place of an infinite plane; or a link turns by more than 1e4
+                radians between two waypoints, all joints added.
 
         Example:
             >>> path = robot.trajectory(torch.linspace(0, 1, 20)[:, None].expand(20, robot.joint_count))
@@ -364,12 +369,13 @@ class Robot:
             expected = f"joints that slide by at most {self._room:g}, added, since the robot has an infinite plane"
             raise ValueError(f"q: waypoint {waypoint}: expected {expected}, got {q[waypoint].tolist()}")
         turn = turns(self._chains_on(q.device), q[1:] - q[:-1])
-        if not bool((turn <= MOST_TURN).all()):
-            segment = int((~(turn <= MOST_TURN)).long().argmax())
-            raise ValueError(
-                f"q: segment {segment}: expected turns of at most {MOST_TURN:g} rad, all joints added, got "
-                f"{float(turn[segment]):.3g}: give more waypoints, or use `certify`"
-            )
+        if not bool((turn <= LONGEST_TURN).all()):
+            segment = int((~(turn <= LONGEST_TURN)).long().argmax())
+            expected = f"turns of at most {LONGEST_TURN:g} rad, all joints added"
+            raise ValueError(f"q: segment {segment}: expected {expected}, got {float(turn[segment]):.3g}")
+        parts = max(1, math.ceil(float(turn.max()) / MOST_TURN))
+        s = torch.arange(parts, dtype=torch.float64, device=q.device)[:, None] / parts
+        q = torch.cat([(q[:-1, None] + s * (q[1:] - q[:-1])[:, None]).flatten(0, 1), q[-1:]])
         poses = self._tree.forward(q)
         before, after = (
             Poses(*(column[:, rows] for column in vars(poses).values())) for rows in (slice(None, -1), slice(1, None))
@@ -417,7 +423,7 @@ class Robot:
 
     def motion_validator(
         self, obstacles: Obstacles | None = None, *, resolution: float | None = None
-    ) -> Callable[[Tensor | Sequence[float], Tensor | Sequence[float]], bool]:
+    ) -> MotionValidator:
         """A function of two configurations that says whether the straight motion in joint space between them is
         certainly free of contact, as planners such as OMPL and MoveIt ask. False has several reasons, which `certify`
         tells apart: also that links touch at the start, or that a value is not finite.
@@ -432,24 +438,12 @@ class Robot:
             >>> is_valid = robot.motion_validator(obstacles)
             >>> is_valid([0.0, 0.0], [0.3, 0.1])
             True
+            >>> is_valid.last_valid([0.0, 0.0], [0.3, 0.1])
+            1.0
         """
-        from pgccd.robots.path_search import PathSearch
+        from pgccd.robots.validator import MotionValidator
 
-        if isinstance(obstacles, Obstacles) and obstacles.environments not in (None, 1):
-            expected = "obstacles of one environment, with poses (M, 3) and (M, 4)"
-            raise ValueError(f"obstacles: expected {expected}, got those of {obstacles.environments}")
-        search = PathSearch(self, obstacles, resolution)
-
-        def is_valid(start: Tensor | Sequence[float], goal: Tensor | Sequence[float]) -> bool:
-            ends = []
-            for values, name in ((start, "start"), (goal, "goal")):
-                q = arguments.real_numbers(values, name, f"{self.joint_count} numbers")
-                if q.shape != (self.joint_count,):
-                    raise ValueError(f"{name}: expected shape ({self.joint_count},), got {tuple(q.shape)}")
-                ends.append(q)
-            return bool(search.certify(torch.stack(ends)[None]).free[0])
-
-        return is_valid
+        return MotionValidator(self, obstacles, resolution)
 
     def __repr__(self) -> str:
         counts = f"joints={self.joint_count}, links={len(self.link_names)}, bodies={self.body_count}"

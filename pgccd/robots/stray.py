@@ -12,6 +12,9 @@ from pgccd.robots.kinematics import Poses, Tree
 
 #: The bound holds for links that turn by at most so many radians in a step, the turns of all joints added.
 MOST_TURN = 1.0
+# Radians that a link may turn between two waypoints, the turns of all joints added: a segment is first split into about
+# as many parts.
+LONGEST_TURN = 1e4
 # Of the rate and the angle, in units of the change of the rate: see the proof.
 _RATE = 0.7625
 _ANGLE = 0.25625

@@ -1,19 +1,22 @@
 """A picture of a world: all robots, the colliding ones, and a close-up of one collision."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from pgccd.geometry.mesh import Mesh
 from pgccd.viz.impact import COLLIDING, PAPER, draw_gap, draw_impact, draw_section
 from pgccd.viz.raster import Camera, Canvas, placed
+from pgccd.viz.simplify import simplified, stored_bytes
 from pgccd.viz.snapshot import Snapshot
 
 _RESTING = np.array([0.52, 0.62, 0.74])
 _PANEL = (1000, 900)
-# Above these numbers of triangles, only some triangles of each robot, or some robots, are drawn: each is then smaller
-# than a few pixels.
+# Robots are drawn with triangles of about six square pixels, and at least so many. Of robots with more triangles than
+# these in all, only some are drawn.
+_FEWEST_TRIANGLES = 24
 _MOST_TRIANGLES = 16_000_000
 _TRIANGLES_AT_ONCE = 2_000_000
 
@@ -59,16 +62,28 @@ def world_picture(path: str | Path, snapshot: Snapshot) -> Path:
         draw_section(figure.add_subplot(lower[0, 1]), snapshot, snapshot.impact)
         draw_gap(figure.add_subplot(lower[0, 2]), snapshot, snapshot.impact)
     path = Path(path)
-    figure.savefig(path)
+    figure.savefig(path, pil_kwargs={"compress_level": 1})  # the most takes a third of a second for a fifth less
     return path
 
 
-def _placed(snapshot: Snapshot, rows: np.ndarray, stride: int) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+def _coarse(mesh: Mesh, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (V, 3) and about `count` faces (F, 3) of a mesh, all of them if there are fewer."""
+    vertices, faces = mesh.vertices.numpy(), mesh.faces.numpy()
+    if len(faces) <= count:
+        return vertices, faces
+    size = stored_bytes(count // 2, count)
+    rows, left, _ = simplified(vertices, faces, size, 0, np.zeros(0, dtype=np.int64))
+    if len(left) < count // 4:  # of a thin mesh, whose sides have been merged
+        return vertices, faces[:: len(faces) // count]
+    return vertices[rows], left
+
+
+def _placed(
+    snapshot: Snapshot, rows: np.ndarray, surfaces: Sequence[tuple[np.ndarray, np.ndarray]]
+) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Vertices (V, 3), faces (T, 3) and the body row (T,) of each face, for many bodies, in chunks."""
-    for kind, mesh in enumerate(snapshot.meshes):
-        faces = mesh.faces.numpy()[::stride]
+    for kind, (local, faces) in enumerate(surfaces):
         members = rows[snapshot.kind[rows] == kind]
-        local = mesh.vertices.numpy()
         step = max(1, _TRIANGLES_AT_ONCE // len(faces))
         for begin in range(0, len(members), step):
             piece = members[begin : begin + step]
@@ -84,12 +99,15 @@ def _draw_world(axes: Any, snapshot: Snapshot, shown: np.ndarray, title: str) ->
     distance = float(np.linalg.norm(camera.eye))
     canvas = Canvas(camera, PAPER, (distance - size, distance + size))
     rows = np.flatnonzero(shown)
-    faces_a_body = max(len(mesh.faces) for mesh in snapshot.meshes)
-    stride = max(1, min(faces_a_body // 16, -(-len(rows) * faces_a_body // _MOST_TRIANGLES)))
-    part = max(1, -(-len(rows) * (faces_a_body // stride) // _MOST_TRIANGLES))
+    across = [2.0 * mesh.radius * _PANEL[1] / camera.height for mesh in snapshot.meshes]
+    surfaces = [
+        _coarse(mesh, max(_FEWEST_TRIANGLES, int(0.25 * pixels**2)))
+        for mesh, pixels in zip(snapshot.meshes, across, strict=True)
+    ]
+    part = max(1, -(-len(rows) * max(len(faces) for _, faces in surfaces) // _MOST_TRIANGLES))
     rows = rows[::part]
     shades = 0.86 + 0.14 * np.random.default_rng(0).random(len(snapshot.kind))
-    for vertices, faces, row in _placed(snapshot, rows, stride):
+    for vertices, faces, row in _placed(snapshot, rows, surfaces):
         hit = snapshot.colliding[row]
         haze = np.where(hit, 0.35, 0.72)  # colliding robots stay visible at a distance
         canvas.draw(vertices, faces, shades[row, None] * np.where(hit[:, None], COLLIDING, _RESTING), haze)

@@ -7,6 +7,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 import torch
 from support.deforming import crumpled, motion_of
 from support.host_program import run_program
@@ -164,6 +165,7 @@ int main() {
 """
 
 
+@pytest.mark.slow
 def test_columns_do_not_depend_on_phases_or_optimisation(tmp_path: Path) -> None:
     assert run_program(PROGRAM, tmp_path, "-O2") == run_program(PROGRAM, tmp_path, "-O0")
 

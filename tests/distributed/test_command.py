@@ -129,6 +129,7 @@ def test_mpirun_does_the_same(tmp_path: Path, expected: list[dict[str, Any]]) ->
     assert log(tmp_path) == expected[:14]
 
 
+@pytest.mark.slow
 def test_everything_over_mpi(tmp_path: Path) -> None:
     done = finish(mpirun(3, str(SUPPORT / "mpi_job.py"), str(tmp_path)))
     assert done.returncode == 0, done.stdout

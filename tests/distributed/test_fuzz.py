@@ -13,6 +13,7 @@ from support.ranks import RankPool
 DEVICES = ["cpu", pytest.param("cuda", marks=pytest.mark.cuda)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("device", DEVICES)
 def test_ranks_give_the_same_bits(ranks: RankPool, device: str) -> None:
     with mock.patch.object(ways, "_all_ways", return_value=()):

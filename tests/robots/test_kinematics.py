@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,10 @@ from support.arms import UPRIGHT, beams, loaded, random_arm
 
 import pgccd
 from pgccd.robots.kinematics import quaternion_of
+
+HINGE = """<robot name="hinge"><link name="base"/><link name="arm"><collision><origin xyz=".5 0 0"/>
+<geometry><box size="1 .1 .1"/></geometry></collision></link><joint name="turn" type="continuous"><parent link="base"/>
+<child link="arm"/><axis xyz="0 0 1"/></joint></robot>"""
 
 
 def matrices(orientation: torch.Tensor) -> np.ndarray:
@@ -145,3 +150,24 @@ def test_few_configurations_have_the_poses_of_many(seed: int, tmp_path: Path) ->
     many = robot._tree.forward(q)
     for column, few in zip(vars(many).values(), vars(robot._tree.forward(q[:7])).values(), strict=True):
         assert torch.equal(column[:, :7], few)
+
+
+def test_long_turns_are_split_into_equal_parts(tmp_path: Path) -> None:
+    """A hinge that turns by 3.9 rad between two waypoints goes the long way round, through a post at 2 rad."""
+    (tmp_path / "hinge.urdf").write_text(HINGE)
+    robot = pgccd.robots.load_urdf(tmp_path / "hinge.urdf")
+    at = torch.tensor([[0.8 * math.cos(2.0), 0.8 * math.sin(2.0), 0.0]], dtype=torch.float64)
+    post = pgccd.robots.Obstacles([pgccd.Mesh.box([0.05, 0.05, 1.0])], at)
+    q = torch.tensor([[0.0], [3.9], [3.9]], dtype=torch.float64)
+    path = robot.trajectory(q, post)
+    assert path.segment_count == 8
+    hits = pgccd.detect(robot.scene(post), path)
+    certified = robot.certify(q[None], post)
+    assert len(hits) and 0.5 * 1.8 / 3.9 < float(hits.time.min()) <= 0.5 * 2.0 / 3.9
+    assert abs(float(hits.time.min()) - float(certified.time[0])) < 0.02
+    with pytest.raises(ValueError, match="^q: segment 0: expected turns of at most 10000 rad"):
+        robot.trajectory(torch.tensor([[0.0], [10_001.0]]))
+    is_valid = robot.motion_validator(post)
+    assert is_valid.last_valid([0.0], [1.0]) == 1.0 and is_valid([0.0], [1.0])
+    assert is_valid.last_valid([2.0], [1.0]) == 0.0
+    assert 1.8 / 3.9 < is_valid.last_valid([0.0], [3.9]) <= 2.0 / 3.9 and not is_valid([0.0], [3.9])

@@ -11,6 +11,7 @@ from typing import Any, Literal, NoReturn, get_args
 import torch
 import torch.distributed as dist
 
+from pgccd import arguments
 from pgccd.distributed.comm import nccl
 from pgccd.distributed.comm.interface import Alone, Comm
 from pgccd.distributed.comm.peer_access import read_setting
@@ -42,8 +43,11 @@ def choose_device(device: str | torch.device, placement: Placement | None = None
     Args:
         device: "cpu", "cuda" or a device of torch.
         placement: of the ranks on machines; default: from the launcher's environment.
+
+    Raises:
+        TypeError, ValueError: device: it is none, or not available.
     """
-    chosen = torch.device(device)
+    chosen = arguments.device(device)
     placement = placement or find_placement()
     if chosen.type == "cuda" and chosen.index is None and placement.size > 1:
         return torch.device("cuda", placement.local_rank % max(1, torch.cuda.device_count()))
@@ -80,6 +84,7 @@ def connect(
         >>> with pgccd.distributed.connect() as comm:
         ...     print(comm.rank, comm.size)
     """
+    arguments.device(device)
     if transport not in TRANSPORTS:
         raise ValueError(f"transport: expected one of {list(TRANSPORTS)}, got {transport!r}")
     if not 0.0 < timeout < 1e9:
