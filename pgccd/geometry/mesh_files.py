@@ -117,12 +117,15 @@ def _loaded(trimesh: Any, path: Path, options: dict[str, Any]) -> Any:
 
 def _of_polygons(trimesh: Any, file: PolygonFile, apart: bool) -> Any:
     """As trimesh loads a file; with `apart` a scene of its objects."""
-    parts = {part.name or str(k): file.triangles(part) for k, part in enumerate(file.parts)}
-    if not apart or len(parts) == 1:
-        return trimesh.Trimesh(file.vertices, np.concatenate(list(parts.values())), process=False)
-    return trimesh.Scene(
-        {name: trimesh.Trimesh(file.vertices, faces, process=False) for name, faces in parts.items() if len(faces)}
-    )
+    faces = [file.triangles(part) for part in file.parts]
+    if not apart or len(faces) == 1:
+        return trimesh.Trimesh(file.vertices, np.concatenate(faces), process=False)
+    scene = trimesh.Scene()
+    for number, (part, own) in enumerate(zip(file.parts, faces, strict=True)):
+        if len(own):  # a scene numbers objects of one name
+            mesh = trimesh.Trimesh(file.vertices, own, process=False)
+            scene.add_geometry(mesh, geom_name=part.name or str(number))
+    return scene
 
 
 def unit_of(path: Path, loaded: Any) -> float | None:

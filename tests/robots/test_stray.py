@@ -250,6 +250,15 @@ def test_the_error_of_poses_is_as_proven(tmp_path: Path) -> None:
             assert (1.0 - 1e-12) * least <= found <= 1.5 * most, (seed, last)
 
 
+def test_turns_are_those_of_all_joints_of_a_chain(tmp_path: Path) -> None:
+    """Also of joints that follow others at other rates; not of slides; of the link that turns most."""
+    side = replace(HINGE, parent=-1)
+    arm = Arm([HINGE, SLIDE, replace(HINGE, mimic=(0, -7.5, 0.3)), side])
+    chains = loaded(arm, tmp_path)._chains_on(torch.device("cpu"))
+    step = torch.tensor([[0.2, 5.0, 0.1], [-0.2, 5.0, 1.8], [0.0, 5.0, 0.0]], dtype=torch.float64)
+    assert np.allclose(turns(chains, step).numpy(), [0.2 * 8.5, 1.8, 0.0], rtol=1e-9, atol=0.0)
+
+
 def test_margins_of_trajectories(tmp_path: Path) -> None:
     """`Robot.trajectory` has the bound and the error of poses as margins, and refuses larger turns."""
     rng = np.random.default_rng(4)
