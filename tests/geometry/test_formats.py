@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import pgccd
+from pgccd.geometry.file_checks import declared_triangles
 from pgccd.geometry.polygons import is_convex
 
 trimesh = pytest.importorskip("trimesh")
@@ -325,7 +326,7 @@ def test_text_stl_files_in_upper_case_or_with_a_mark(case: str, mark: bytes, tmp
 def test_gltf_strips_fans_and_lines_beside_triangles(kind: str, tmp_path: Path) -> None:
     """A pyramid: its sides a fan, its base a strip, its edges lines that are left out; with and without indices."""
     points = np.array([[0, 0, 1], [1, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, -1, 0]], dtype="<f4")
-    fan, strip, edges = ([0, 1, 2, 3, 4, 1], [2, 1, 3, 4], [1, 2, 2, 3])
+    fan, strip, edges = ([0, 1, 2, 3, 4, 1], [2, 1, 3, 4], [1, 2, 3, 4])
     flat = points[[2, 1, 3, 4]]  # without indices
     buffer = points.tobytes() + np.array(fan + strip + edges, dtype="<u2").tobytes() + flat.tobytes()
     begins = np.cumsum([0, points.nbytes, 2 * len(fan), 2 * len(strip), 2 * len(edges), flat.nbytes]).tolist()
@@ -365,6 +366,7 @@ def test_gltf_strips_fans_and_lines_beside_triangles(kind: str, tmp_path: Path) 
         path.write_text(json.dumps(content))
     mesh = pgccd.Mesh.load(path)
     assert len(mesh.faces) == 6 and volume(mesh) == pytest.approx(4.0 / 3.0) and mesh.unit == 1.0
+    assert declared_triangles(path) == 4  # of the fan
 
 
 def two_squares(code: int) -> dict[str, Any]:
