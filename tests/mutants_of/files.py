@@ -46,13 +46,9 @@ MUTANTS = [
     ),
     _mutant("polygon-twice-round", POLYGONS, "return bool(turn < 3.0 * np.pi)", "return True", ON_FORMATS),
     _mutant("polygon-halves-cancel", POLYGONS, "if not area > _ROUNDING * ", "if not area > 0.0 * ", ON_FORMATS),
-    _mutant(
-        "polygon-rounded-is-concave",
-        POLYGONS,
-        "crosses.min() < -_ROUNDING * np.abs(crosses).max()",
-        "crosses.min() < 0.0",
-        ON_FORMATS,
-    ),
+    _mutant("polygon-rounded-is-concave", POLYGONS, "-_ROUNDING * np.abs(crosses).max() - ", "-", ON_FORMATS),
+    _mutant("polygon-rounded-by-its-reader", POLYGONS, " - 4.0 * error * lengths", "", ON_FORMATS),
+    _mutant("polygon-error-too-large", POLYGONS, "4.0 * error * lengths", "4e3 * error * lengths", ON_FORMATS),
     _mutant("polygon-seen-from-its-side", POLYGONS, "np.abs(normal).argmin()", "np.abs(normal).argmax()", ON_FORMATS),
     _mutant("polygon-index-negative", POLYGONS, "0 <= min(polygon) <= max", "min(polygon) <= max", ON_FORMATS),
     _mutant(
@@ -156,7 +152,8 @@ MUTANTS = [
     _mutant("placed-unmoved", MESHES, "transform[:3, :3].T + transform[:3, 3]", "transform[:3, :3].T", ON_MESHES),
     _mutant("placed-turned-back", MESHES, "vertices @ transform[:3, :3].T", "vertices @ transform[:3, :3]", ON_MESHES),
     _mutant("joined-index-base", MESHES, "[part.faces + begin for", "[part.faces for", ON_MESHES),
-    _mutant("objects-joined", MESHES, "if not apart or len(parts) == 1:", "if True:", ON_FORMATS),
+    _mutant("objects-joined", MESHES, "if not apart or len(faces) == 1:", "if True:", ON_FORMATS),
+    _mutant("objects-of-one-name", MESHES, "geom_name=part.name or str(number)", "geom_name=str(number)", ON_FORMATS),
     _mutant(
         "objects-in-other-order",
         MESHES,
