@@ -118,6 +118,21 @@ def test_a_single_polygon_with_a_notch(name: str, corners: int, tmp_path: Path) 
         assert len(mesh.faces) == corners - 2 and area(mesh) == pytest.approx(polygon_area(dart))
 
 
+def test_triangles_are_wound_as_their_polygon(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However the triangulation winds them, of which it promises nothing."""
+    earcut = pytest.importorskip("mapbox_earcut")
+    cut = earcut.triangulate_float64
+    path = tmp_path / "notch.obj"
+    for is_turned in (False, True):
+        if is_turned:
+            monkeypatch.setattr(earcut, "triangulate_float64", lambda *given: cut(*given)[::-1])
+        for order in (1, -1):
+            write_polygons(path, np.array(L_SHAPE[::order], dtype=np.float64), [list(range(6))])
+            mesh = pgccd.Mesh.load(path)
+            a, b, c = mesh.vertices[mesh.faces.long()].numpy().transpose(1, 0, 2)
+            assert (order * np.cross(b - a, c - a)[:, 2] > 0.0).all() and len(mesh.faces) == 4
+
+
 @pytest.mark.parametrize("name", ["beyond.off", "text.ply", "binary.ply"])
 @pytest.mark.parametrize("row", [-1, 6])
 def test_polygons_of_vertices_that_are_not_there(name: str, row: int, tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ SCENES = "pgccd/files.py"
 ON_FORMATS = ("geometry/test_formats.py",)
 ON_CHECKS = ("geometry/test_file_checks.py",)
 ON_MESHES = ("geometry/test_mesh_files.py",)
-ON_SCENES = ("test_cli.py", "auditing/test_command.py")
+ON_SCENES = ("test_files.py", "auditing/test_command.py")
 
 
 def _mutant(
