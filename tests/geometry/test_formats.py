@@ -198,6 +198,17 @@ def test_outlines_that_turn_to_one_side_or_cancel_in_any_plane(kind: str, tmp_pa
             pgccd.Mesh.load(tmp_path / "polygon.obj")
 
 
+def test_polygons_without_an_area(tmp_path: Path) -> None:
+    """Corners in one line, in any direction: nothing to divide, and no outline that crosses itself."""
+    path = tmp_path / "line.obj"
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        line = rng.normal(size=3) + rng.permutation([0.0, 0.1, 0.7, 1.0, 1.3])[:, None] * rng.normal(size=3)
+        assert is_convex(line)
+        write_polygons(path, np.concatenate([line, rng.normal(size=(1, 3))]), [[0, 1, 5], [0, 1, 2, 3, 4]])
+        assert len(pgccd.Mesh.load(path).faces) == 4
+
+
 def test_corners_in_the_middle_of_edges_make_no_notch(tmp_path: Path) -> None:
     """In any plane, where they are beside the edge by rounding, of the file's reader to float32 too."""
     pytest.importorskip("collada")
@@ -226,6 +237,7 @@ def test_objects_of_one_name(tmp_path: Path) -> None:
     for text, names in (
         ("o a_b\ng c\nf 1 2 3 4 5 6\no a\ng b_c\nf 1 2 3\n", ["a_b_c", "a_b_c_1"]),
         ("f 1 2 3 4 5 6\no 0\nf 1 2 3\n", ["0", "0_1"]),
+        ("o a\ng b\nf 1 2 3 4 5 6\ng c\nf 1 2 3\n", ["a_b", "a_c"]),
     ):
         path.write_text(lines + text)
         assert [(mesh.name, len(mesh.faces)) for mesh in pgccd.Mesh.load_all(path)] == list(

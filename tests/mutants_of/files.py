@@ -57,7 +57,7 @@ MUTANTS = [
     _mutant("obj-index-base", POLYGONS, "row - 1 if row > 0", "row if row > 0", ON_FORMATS),
     _mutant("obj-index-backwards", POLYGONS, "else len(vertices) + row", "else len(vertices) + row - 1", ON_FORMATS),
     _mutant(
-        "obj-backwards-amid", POLYGONS, "return found, 0 < backwards", "return found, 1 < 0 < backwards", ON_CHECKS
+        "obj-backwards-amid", POLYGONS, "return found, 0 < backwards", "return found, 1 < 0 < backwards", ON_FORMATS
     ),
     _mutant("obj-texture-index", POLYGONS, 'corner.split(b"/", 1)[0]', 'corner.split(b"/")[-1]', ON_FORMATS),
     _mutant(
