@@ -349,6 +349,18 @@ def test_text_stl_files_in_upper_case_or_with_a_mark(case: str, mark: bytes, tmp
     assert len(mesh.faces) == 12 and volume(mesh) == pytest.approx(1.0)
 
 
+def test_solids_of_text_stl_files_keep_their_names(tmp_path: Path) -> None:
+    path = tmp_path / "two.stl"
+    texts = [trimesh.creation.box([1.0, 1.0, size]).export(file_type="stl_ascii") for size in (1.0, 2.0)]
+    named = [re.sub("solid *\n", f"solid {name}\n", text) for name, text in zip(("Left", "Right"), texts, strict=True)]
+    path.write_text("".join(named))
+    meshes = pgccd.Mesh.load_all(path)
+    assert [(mesh.name, volume(mesh)) for mesh in meshes] == [
+        ("Left", pytest.approx(1.0)),
+        ("Right", pytest.approx(2.0)),
+    ]
+
+
 @pytest.mark.parametrize("kind", ["glb", "gltf", "data"])
 def test_gltf_strips_fans_and_lines_beside_triangles(kind: str, tmp_path: Path) -> None:
     """A pyramid: its sides a fan, its base a strip, its edges lines that are left out; with and without indices."""

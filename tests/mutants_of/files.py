@@ -116,10 +116,6 @@ MUTANTS = [
     _mutant("mujoco-sizes", FORMATS, "or expected != len(data):", "or expected > len(data):", ON_CHECKS),
     _mutant("mujoco-negative", FORMATS, "if min(header or [-1]) < 0 or expected", "if expected", ON_CHECKS),
     _mutant("mujoco-after-points", FORMATS, "expected - 12 * faces)", "16 + 12 * vertices)", ON_CHECKS),
-    _mutant("stl-mark", FORMATS, "data.removeprefix(codecs.BOM_UTF8).lower()", "data.lower()", ON_FORMATS),
-    _mutant(
-        "stl-upper-case", FORMATS, "removeprefix(codecs.BOM_UTF8).lower()", "removeprefix(codecs.BOM_UTF8)", ON_FORMATS
-    ),
     _mutant("collada-looks", FORMATS, "return ElementTree.tostring(root)", "return data", ON_CHECKS),
     # Units, placement, welding.
     _mutant("unit-dropped", MESHES, "stated / wanted", "1.0", ON_FORMATS),
@@ -184,6 +180,22 @@ MUTANTS = [
     # What files declare.
     _mutant("stl-longer", CHECKS, "size == 50 * count", "size >= 50 * count", ON_CHECKS),
     _mutant("stl-solid-is-text", CHECKS, ' and b"\\0" not in data', "", ON_CHECKS),
+    _mutant("stl-mark", CHECKS, "data.removeprefix(codecs.BOM_UTF8).lstrip()", "data.lstrip()", ON_FORMATS),
+    _mutant("stl-upper-case", CHECKS, "lstrip()[:5].lower() ==", "lstrip()[:5] ==", ON_FORMATS),
+    _mutant(
+        "stl-upper-case-of-words",
+        CHECKS,
+        "data = data.removeprefix(codecs.BOM_UTF8).lower()",
+        "data = data.removeprefix(codecs.BOM_UTF8)",
+        ON_FORMATS,
+    ),
+    _mutant(
+        "stl-mark-before-words",
+        CHECKS,
+        "data = data.removeprefix(codecs.BOM_UTF8).lower()",
+        "data = data.lower()",
+        ON_FORMATS,
+    ),
     _mutant("stl-vertices", CHECKS, ' or count[b"vertex"] != 3 * facets', "", ON_CHECKS),
     _mutant("stl-facets-ended", CHECKS, 'if count[b"endfacet"] != facets or ', "if ", ON_CHECKS),
     _mutant("stl-solids-ended", CHECKS, ' or count[b"endsolid"] != count[b"solid"]:', ":", ON_CHECKS),
