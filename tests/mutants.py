@@ -157,6 +157,13 @@ def verdict(copy: Copy, mutant: Mutant, number: int, rest: bool) -> str:
     return f"{'NOT EQUIVALENT: ' if mutant.equivalent else ''}killed by {by}"
 
 
+def require_unchanged_passes(copy: Copy, mutants: list[Mutant]) -> None:
+    """Ends the program if a test of these fails without any of them: it would seem to kill them all."""
+    passed, by = copy.test(sorted({target for mutant in mutants for target in mutant.killed_by}))
+    if not passed:
+        raise SystemExit(f"without any mutant: {by} fails")
+
+
 def run(mutants: list[Mutant], folder: Path, jobs: int, rest: bool) -> dict[str, str]:
     """The verdicts by name; printed as they become available."""
     copy, verdicts = Copy(folder), dict[str, str]()
@@ -178,16 +185,15 @@ def run(mutants: list[Mutant], folder: Path, jobs: int, rest: bool) -> dict[str,
         written[platform] = (ROOT / platform).read_text() + _SWITCH
         copy.write(written)
         copy.build()
-        passed, by = copy.test(sorted({t for m in batch for t in m.killed_by}))
-        if not passed:
-            raise SystemExit(f"without any mutant: {by} fails")
+        require_unchanged_passes(copy, batch)
         with ThreadPoolExecutor(jobs) as pool:
             list(pool.map(judge, numbered))
-    if not any(mutant.switched for mutant in mutants):
+    one_by_one = [m for m in mutants if not m.switched]
+    if one_by_one:
+        copy.write({})
         copy.build()
-    for mutant in mutants:
-        if mutant.switched:
-            continue
+        require_unchanged_passes(copy, one_by_one)
+    for mutant in one_by_one:
         copy.write({mutant.file: with_mutant(mutant, texts[mutant.file])})
         if mutant.file.startswith("csrc"):
             copy.build()

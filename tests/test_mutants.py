@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from pathlib import Path
+
+import mutants
 import pytest
 from mutants import ROOT, StaleMutantError, batches, span, with_mutant, with_switches
 from mutants_of import MUTANTS, Mutant
@@ -29,6 +33,29 @@ def test_stale_texts_are_refused() -> None:
             span(mutant, text)
     narrowed = Mutant("m", "f", "b", "c", ("test_mutants.py",), within="bd")
     assert with_mutant(narrowed, "ab bd") == "ab cd"
+
+
+@pytest.mark.parametrize("switched", [False, True])
+def test_a_test_that_always_fails_kills_no_mutant(
+    switched: bool, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    class Failing(mutants.Copy):
+        def __init__(self, folder: Path) -> None:
+            self._originals = {}
+
+        def _put(self, name: str, text: str) -> None:
+            pass
+
+        def build(self) -> None:
+            pass
+
+        def test(self, targets: Iterable[str], number: int = 0) -> tuple[bool, str]:
+            return False, "test_mutants.py::test_m"
+
+    monkeypatch.setattr(mutants, "Copy", Failing)
+    mutant = Mutant("m", "tests/mutants.py", "SECONDS = 900", "SECONDS = 0", ("test_mutants.py",), switched=switched)
+    with pytest.raises(SystemExit, match="^without any mutant: test_mutants.py::test_m fails"):
+        mutants.run([mutant], tmp_path, 1, False)
 
 
 def test_mutants_compiled_together_do_not_overlap() -> None:

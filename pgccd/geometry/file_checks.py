@@ -40,7 +40,7 @@ def _stl(data: bytes) -> int | None:
     count = int.from_bytes(data[80:84], "little")
     if size >= 0 and size == 50 * count:
         return count
-    if is_stl_text(data):
+    if _is_stl_text(data):
         return _stl_text(data)
     if size < 0:
         return None
@@ -50,7 +50,7 @@ def _stl(data: bytes) -> int | None:
     )
 
 
-def is_stl_text(data: bytes) -> bool:
+def _is_stl_text(data: bytes) -> bool:
     """Whether an STL file is text, in upper or lower case, with or without a byte-order mark."""
     return data.removeprefix(codecs.BOM_UTF8).lstrip()[:5].lower() == b"solid" and b"\0" not in data
 

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from pgccd import arguments
-from pgccd.geometry.file_checks import declared_triangles, is_stl_text
-from pgccd.geometry.mesh_formats import collada_without_looks, gltf_of_triangles, mujoco_mesh, plain_stl
+from pgccd.geometry.file_checks import declared_triangles
+from pgccd.geometry.mesh_formats import collada_without_looks, gltf_of_triangles, mujoco_mesh
 from pgccd.geometry.polygons import PolygonFile, read_polygons, require_convex_polygons
 
 #: Units of lengths that files state, in metres.
@@ -106,8 +106,6 @@ def _loaded(trimesh: Any, path: Path, options: dict[str, Any]) -> Any:
         data = path.read_bytes()
         require_convex_polygons(data)
         return trimesh.load(io.BytesIO(collada_without_looks(data)), file_type="dae", process=False)
-    if kind == ".stl" and is_stl_text(data := path.read_bytes()):
-        return trimesh.load(io.BytesIO(plain_stl(data)), file_type="stl_ascii", process=False)
     if kind in (".glb", ".gltf") and (triangles := gltf_of_triangles(path)) is not None:
         return trimesh.load(io.BytesIO(triangles), file_type="glb", process=False)
     if (polygons := read_polygons(path)) is not None:
@@ -117,12 +115,15 @@ def _loaded(trimesh: Any, path: Path, options: dict[str, Any]) -> Any:
 
 def _of_polygons(trimesh: Any, file: PolygonFile, apart: bool) -> Any:
     """As trimesh loads a file; with `apart` a scene of its objects."""
-    parts = {part.name or str(k): file.triangles(part) for k, part in enumerate(file.parts)}
-    if not apart or len(parts) == 1:
-        return trimesh.Trimesh(file.vertices, np.concatenate(list(parts.values())), process=False)
-    return trimesh.Scene(
-        {name: trimesh.Trimesh(file.vertices, faces, process=False) for name, faces in parts.items() if len(faces)}
-    )
+    faces = [file.triangles(part) for part in file.parts]
+    if not apart or len(faces) == 1:
+        return trimesh.Trimesh(file.vertices, np.concatenate(faces), process=False)
+    scene = trimesh.Scene()
+    for number, (part, own) in enumerate(zip(file.parts, faces, strict=True)):
+        if len(own):  # a scene numbers objects of one name
+            mesh = trimesh.Trimesh(file.vertices, own, process=False)
+            scene.add_geometry(mesh, geom_name=part.name or str(number))
+    return scene
 
 
 def unit_of(path: Path, loaded: Any) -> float | None:

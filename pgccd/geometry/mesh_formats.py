@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import codecs
 import json
 import struct
 from pathlib import Path
@@ -62,11 +61,6 @@ def mujoco_mesh(data: bytes) -> tuple[np.ndarray, np.ndarray]:
     points = np.frombuffer(data, "<f4", 3 * vertices, 16).reshape(-1, 3)
     corners = np.frombuffer(data, "<i4", 3 * faces, expected - 12 * faces).reshape(-1, 3)
     return points.astype(np.float64), corners.astype(np.int64)
-
-
-def plain_stl(data: bytes) -> bytes:
-    """A text STL file in lower case, without a byte-order mark."""
-    return data.removeprefix(codecs.BOM_UTF8).lower()
 
 
 # Modes of glTF primitives.

@@ -95,15 +95,20 @@ def require_convex_polygons(collada: bytes) -> None:
                 continue
             for number, (begin, end) in enumerate(zip(primitives.polystarts, primitives.polyends, strict=True)):
                 corners = np.asarray(primitives.vertex, dtype=np.float64)[primitives.vertex_index[begin:end]]
-                if not is_convex(corners):
+                # pycollada rounds coordinates to float32.
+                if not is_convex(corners, 2.0**-24 * np.abs(corners).max()):
                     raise ValueError(
                         f"geometry {geometry.id!r}: polygon {number} is not convex: divide it in triangles"
                     )
 
 
-def is_convex(corners: np.ndarray) -> bool:
+def is_convex(corners: np.ndarray, error: float = 0.0) -> bool:
     """Whether a polygon (n, 3) turns to one side everywhere and once in all, seen along its normal; then the triangles
     from its first corner fill it.
+
+    Args:
+        corners: of the polygon.
+        error: of their coordinates: a corner between two edges in one line may be as far beside it.
     """
     if len(corners) <= 3:
         return True
@@ -117,7 +122,8 @@ def is_convex(corners: np.ndarray) -> bool:
         return bool(np.linalg.matrix_rank(corners - corners[0], tol=1e-12 * np.abs(corners - corners[0]).max()) < 2)
     after = np.roll(edges, -1, axis=0)
     crosses = edges[:, 0] * after[:, 1] - edges[:, 1] * after[:, 0]
-    if crosses.min() < -_ROUNDING * np.abs(crosses).max():
+    lengths = np.linalg.norm(edges, axis=1) + np.linalg.norm(after, axis=1)
+    if (crosses < -_ROUNDING * np.abs(crosses).max() - 4.0 * error * lengths).any():
         return False
     turn = np.arctan2(crosses, (edges * after).sum(axis=1)).sum()
     return bool(turn < 3.0 * np.pi)

@@ -57,6 +57,13 @@ def ply_binary(rows: list[bytes], vertices: int = 5, faces: int | None = None, *
     return ply_header("binary_little_endian", vertices, count, **options).encode() + points + b"".join(rows)
 
 
+def ply_big(rows: list[bytes]) -> bytes:
+    """As `ply_binary`, with the most significant bytes first; of rows of int32 corners."""
+    header = ply_header("binary_big_endian", 5, len(rows))
+    turned = [row[:1] + np.frombuffer(row[1:], "<i4").astype(">i4").tobytes() for row in rows]
+    return header.encode() + CORNERS.astype(">f4").tobytes() + b"".join(turned)
+
+
 def off(vertices: int = 5, faces: int = 4) -> str:
     rows = [" ".join(map(str, row)) for row in CORNERS.tolist()] + [f"3 {i} {j} {k}" for i, j, k in FACES]
     return f"OFF\n{vertices} {faces} 0\n" + "\n".join(rows) + "\n"
@@ -96,6 +103,11 @@ def mujoco_mesh(faces: int = 2) -> bytes:
 SKIN = '<library_controllers><controller id="c"><skin source="#g"/></controller></library_controllers>'
 TRIANGLES = '<triangles count="2"/><p>0 1 2 0 1 3</p></triangles>'
 
+STRIP_WITH_NORMALS = (
+    '<tristrips count="1"/><input semantic="NORMAL" source="#p" offset="1"></input><p>0 0 1 0 2 0 3 0</p></tristrips>'
+)
+OTHER_SCENE = '<visual_scene id="other"><node><instance_geometry url="#g"/></node></visual_scene>'
+
 WHOLE: dict[str, tuple[bytes | str, int]] = {
     "binary.stl": (stl_binary(), 4),
     "text.stl": (stl_text(), 4),
@@ -121,7 +133,11 @@ WHOLE: dict[str, tuple[bytes | str, int]] = {
     "backwards.obj": (obj("-5 -4 -3"), 1),
     "amid.obj": (obj("-3 -2 -1") + obj("-3 -2 -1"), 2),
     "mixed.ply": (ply_binary([TRIANGLE, QUAD]), 3),
+    "big.ply": (ply_big([TRIANGLE] * 3), 3),
+    "big_mixed.ply": (ply_big([TRIANGLE, QUAD]), 3),
     "triangles.dae": (collada(TRIANGLES), 2),
+    "normals.dae": (collada(STRIP_WITH_NORMALS), 2),
+    "scenes.dae": (collada(TRIANGLES).replace("</library_v", OTHER_SCENE + "</library_v"), 2),
     "fans.dae": (collada(TRIANGLES + '<trifans count="1"/><p>0 1 2 3</p></trifans>'), 4),
     "strips.dae": (collada('<tristrips count="1"/><p>0 1 2 3</p></tristrips>'), 2),
     "polygons.dae": (collada('<polylist count="2"/><vcount>3 4</vcount><p>0 1 2 0 1 2 3</p></polylist>'), 3),
@@ -135,6 +151,8 @@ BROKEN: dict[str, tuple[bytes | str, str]] = {
     "header.stl": (stl_binary()[:84], "declares 4 triangles of 50 bytes, but 0 bytes follow"),
     "text.stl": (stl_text()[:-120], "3 of them ended.* the file is truncated"),
     "second.stl": (stl_text() + stl_text("other")[:-120], "1 of 2 solids: the file is truncated"),
+    "corner.stl": (stl_text().replace("  vertex 1.0 1.0 0.0\n", "", 1), "4 facets with 11 vertices, 4 of them ended"),
+    "facet.stl": (stl_text().replace("endfacet\n", "", 1), "4 facets with 12 vertices, 3 of them ended"),
     "rows.ply": (ply_text().rsplit("\n", 3)[0], "declares 4 rows of element face, but holds 2 whole"),
     "word.ply": (ply_text().strip().rsplit(" ", 1)[0], "declares 4 rows of element face, but holds 3 whole"),
     "faces.ply": (ply_text(faces=7), "declares 7 rows of element face, but holds 4 whole"),
@@ -148,6 +166,7 @@ BROKEN: dict[str, tuple[bytes | str, str]] = {
     "rows.off": (off().rsplit("\n", 3)[0], "declares 4 rows of faces, but holds 2 whole"),
     "word.off": (off().strip().rsplit(" ", 1)[0], "declares 4 rows of faces, but holds 3 whole"),
     "vertices.off": (off(vertices=11), "declares 11 rows of vertices, but holds 9 whole"),
+    "short.off": (off().replace("1.0 1.0 0.0", "1.0 1.0"), "declares 5 rows of vertices, but holds 4 whole"),
     "beyond.off": (off(faces=3), "more rows than it declares"),
     "numbers.off": ("OFF\nmany few\n", "without the numbers of vertices and faces"),
     "zero.obj": (obj("1 2 3", "0 1 2"), "face 1: '0 1 2': vertices of an OBJ file are numbered from 1"),
@@ -174,6 +193,8 @@ BROKEN: dict[str, tuple[bytes | str, str]] = {
     "cut.dae": (collada(TRIANGLES)[:-30], "a Collada file that is no XML: "),
     "cut.msh": (mujoco_mesh()[:-4], "MuJoCo, whose 5 vertices and 2 faces make 140 bytes, got 136"),
     "faces.msh": (mujoco_mesh(3), "MuJoCo, whose 5 vertices and 3 faces make 152 bytes, got 140"),
+    "longer.msh": (mujoco_mesh() + bytes(12), "MuJoCo, whose 5 vertices and 2 faces make 140 bytes, got 152"),
+    "negative.msh": (struct.pack("<4i", 5, -2, 3, 0) + bytes(60), "a file: expected a binary mesh of MuJoCo$"),
     "short.msh": (b"12345", "a file: expected a binary mesh of MuJoCo$"),
     "gmsh.msh": ("$MeshFormat\n2.2 0 8\n$EndMeshFormat\n", "a mesh of Gmsh: expected a binary mesh of MuJoCo"),
     "indented.obj": (obj("1 2 3") + "  f 1 2 4\n", "of its 2 triangles trimesh reads 1"),
@@ -226,6 +247,9 @@ def test_triangles_of_gltf_files_are_counted(tmp_path: Path, suffix: str) -> Non
     (path,) = tmp_path.glob("*.gltf")
     assert declared_triangles(path) == len(pgccd.Mesh.load(path).faces) == 104
     whole = json.loads(path.read_text())
+    second = copy.deepcopy(whole) | {"scenes": [{"nodes": []}, *whole["scenes"]], "scene": 1}
+    path.write_text(json.dumps(second))
+    assert declared_triangles(path) == len(pgccd.Mesh.load(path).faces) == 104
     lost = copy.deepcopy(whole)
     next(node for node in lost["nodes"] if "mesh" in node)["mesh"] = 9
     path.write_text(json.dumps(lost))

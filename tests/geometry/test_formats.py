@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import base64
 import json
+import re
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +13,7 @@ import numpy as np
 import pytest
 
 import pgccd
+from pgccd.geometry.file_checks import declared_triangles
 from pgccd.geometry.polygons import is_convex
 
 trimesh = pytest.importorskip("trimesh")
@@ -103,6 +106,146 @@ def test_an_outline_that_crosses_itself_is_refused(tmp_path: Path) -> None:
         pgccd.Mesh.load(path)
 
 
+@pytest.mark.parametrize("name", ["dart.obj", "dart.off", "text.ply", "binary.ply"])
+@pytest.mark.parametrize("corners", [4, 5])
+def test_a_single_polygon_with_a_notch(name: str, corners: int, tmp_path: Path) -> None:
+    """Four corners suffice for a notch."""
+    pytest.importorskip("mapbox_earcut")
+    dart = np.array([[0, 0, 0], [2, 1, 0], [0, 2, 0], [0.5, 1, 0], [0.2, 0.5, 0]], dtype=np.float64)[:corners]
+    for shift in range(corners):
+        write_polygons(tmp_path / name, np.roll(dart, shift, axis=0), [list(range(corners))])
+        mesh = pgccd.Mesh.load(tmp_path / name)
+        assert len(mesh.faces) == corners - 2 and area(mesh) == pytest.approx(polygon_area(dart))
+
+
+def test_triangles_are_wound_as_their_polygon(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However the triangulation winds them, of which it promises nothing."""
+    earcut = pytest.importorskip("mapbox_earcut")
+    cut = earcut.triangulate_float64
+    path = tmp_path / "notch.obj"
+    for is_turned in (False, True):
+        if is_turned:
+            monkeypatch.setattr(earcut, "triangulate_float64", lambda *given: cut(*given)[::-1])
+        for order in (1, -1):
+            write_polygons(path, np.array(L_SHAPE[::order], dtype=np.float64), [list(range(6))])
+            mesh = pgccd.Mesh.load(path)
+            a, b, c = mesh.vertices[mesh.faces.long()].numpy().transpose(1, 0, 2)
+            assert (order * np.cross(b - a, c - a)[:, 2] > 0.0).all() and len(mesh.faces) == 4
+
+
+@pytest.mark.parametrize("name", ["beyond.off", "text.ply", "binary.ply"])
+@pytest.mark.parametrize("row", [-1, 6])
+def test_polygons_of_vertices_that_are_not_there(name: str, row: int, tmp_path: Path) -> None:
+    corners = np.array(L_SHAPE, dtype=np.float64)
+    write_polygons(tmp_path / name, corners, [[0, 1, 2, 3, 4, 5], [0, 1, row, 4, 5]])
+    with pytest.raises(ValueError, match=rf"^path: .*face 1: \[0, 1, {row}, 4, 5\]: there are 6 vertices"):
+        pgccd.Mesh.load(tmp_path / name)
+
+
+def test_words_of_obj_and_ply_files(tmp_path: Path) -> None:
+    """Texture and normals of corners, continued lines, indices that count backwards, the other name of faces."""
+    pytest.importorskip("mapbox_earcut")
+    lines = "".join(f"v {x} {y} {z}\n" for x, y, z in L_SHAPE) + "vt 0 0\nvt 1 0\nvn 0 0 1\n"
+    for number, face in enumerate(
+        (
+            "f 1/1/1 2/2/1 3/1/1 4/1/1 5/2/1 6/1/1",
+            "f 1//1 2//1 3//1 4//1 5//1 6//1",
+            "f 1 2 3 \\\n 4 5 6 # an L",
+            "f 1 2 3 \\\r\n 4 5 6",
+            "f -6 -5 -4 -3 -2 -1\nv 7 7 7",
+            "f -6/1 -5/1 -4/2 -3/1 -2/1 -1/1",
+        )
+    ):
+        path = tmp_path / f"{number}.obj"
+        path.write_bytes((lines + face + "\n").encode())
+        mesh = pgccd.Mesh.load(path)
+        assert len(mesh.faces) == 4 and area(mesh) == pytest.approx(3.0), face
+    # Backwards from the vertices before the face, not from the last one.
+    for face in ("f -3 -2 -1", "f -4 -3 -2 -1"):
+        corners = [[x, y, z] for z in (0.0, 5.0) for x, y in ((0.0, 0.0), (4.0, 0.0), (1.0, 1.0), (0.0, 4.0))]
+        words = [f"v {x} {y} {z}" for x, y, z in corners]
+        (tmp_path / "amid.obj").write_text("\n".join([*words[:4], face, *words[4:], face]) + "\n")
+        mesh = pgccd.Mesh.load(tmp_path / "amid.obj")
+        z = (mesh.vertices + mesh.origin)[mesh.faces.long()][..., 2]
+        assert z.tolist() == [[level] * 3 for level in (0.0, 5.0) for _ in range(len(mesh.faces) // 2)]
+        count = len(face.split()) - 1
+        expected = polygon_area(np.array(corners[4 - count : 4]))
+        assert len(mesh.faces) == 2 * (count - 2) and area(mesh) == pytest.approx(2.0 * expected)
+    path = tmp_path / "text.ply"
+    write_polygons(path, np.array(L_SHAPE, dtype=np.float64), [list(range(6))])
+    path.write_text(path.read_text().replace("vertex_indices", "vertex_index"))
+    assert area(pgccd.Mesh.load(path)) == pytest.approx(3.0)
+
+
+def turned_randomly(corners: list[list[float]] | np.ndarray, seed: int) -> np.ndarray:
+    """Corners (n, 2) in some plane."""
+    rng = np.random.default_rng(seed)
+    first, second = np.linalg.qr(rng.normal(size=(3, 3)))[0][:2]
+    return np.array(corners, dtype=np.float64) @ np.stack([first, second]) + rng.normal(size=3)
+
+
+@pytest.mark.parametrize("kind", ["bow", "pentagram"])
+def test_outlines_that_turn_to_one_side_or_cancel_in_any_plane(kind: str, tmp_path: Path) -> None:
+    """The halves of a bow have no area together, up to rounding; a pentagram turns to one side, but twice round."""
+    pytest.importorskip("mapbox_earcut")
+    bow = [[0.0, 0.0], [1.0, 1.0], [1.0, 0.0], [0.0, 1.0]]
+    star = [[np.cos(0.8 * np.pi * k), np.sin(0.8 * np.pi * k)] for k in range(5)]
+    for seed in range(20):
+        corners = turned_randomly(bow if kind == "bow" else star, seed)
+        assert not is_convex(corners)
+        write_polygons(tmp_path / "polygon.obj", corners, [list(range(len(corners)))])
+        with pytest.raises(ValueError, match="face 0: expected a polygon whose outline does not cross itself"):
+            pgccd.Mesh.load(tmp_path / "polygon.obj")
+
+
+def test_polygons_without_an_area(tmp_path: Path) -> None:
+    """Corners in one line, in any direction: nothing to divide, and no outline that crosses itself."""
+    path = tmp_path / "line.obj"
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        line = rng.normal(size=3) + rng.permutation([0.0, 0.1, 0.7, 1.0, 1.3])[:, None] * rng.normal(size=3)
+        assert is_convex(line)
+        write_polygons(path, np.concatenate([line, rng.normal(size=(1, 3))]), [[0, 1, 5], [0, 1, 2, 3, 4]])
+        assert len(pgccd.Mesh.load(path).faces) == 4
+
+
+def test_corners_in_the_middle_of_edges_make_no_notch(tmp_path: Path) -> None:
+    """In any plane, where they are beside the edge by rounding, of the file's reader to float32 too."""
+    pytest.importorskip("collada")
+    path = tmp_path / "square.dae"
+    group = '<polylist count="1">{}<vcount>8</vcount><p>0 1 2 3 4 5 6 7</p></polylist>'
+    square = np.array([[0, 0], [0.3, 0], [1, 0], [1, 0.7], [1, 1], [0.1, 1], [0, 1], [0, 0.6]], dtype=np.float64)
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        far = rng.normal(size=3) * 10.0 ** rng.uniform(-1.0, 2.0)
+        corners = turned_randomly(square, seed)
+        assert is_convex(corners) and is_convex(corners[::-1])
+        path.write_text(collada(corners + far, group))
+        assert area(pgccd.Mesh.load(path)) == pytest.approx(1.0, rel=1e-3)
+        # What is more than rounding is a notch.
+        notched = square + 1e-3 * np.array([[0.0, 1.0]]) * (np.arange(8) == 1)[:, None]
+        path.write_text(collada(turned_randomly(notched, seed) + far, group))
+        with pytest.raises(ValueError, match="polygon 0 is not convex"):
+            pgccd.Mesh.load(path)
+
+
+def test_objects_of_one_name(tmp_path: Path) -> None:
+    """Objects and groups whose names together are the same, and one with the number of an unnamed one, are all kept."""
+    pytest.importorskip("mapbox_earcut")
+    lines = "".join(f"v {x} {y} {z}\n" for x, y, z in L_SHAPE)
+    path = tmp_path / "names.obj"
+    for text, names in (
+        ("o a_b\ng c\nf 1 2 3 4 5 6\no a\ng b_c\nf 1 2 3\n", ["a_b_c", "a_b_c_1"]),
+        ("f 1 2 3 4 5 6\no 0\nf 1 2 3\n", ["0", "0_1"]),
+        ("o a\ng b\nf 1 2 3 4 5 6\ng c\nf 1 2 3\n", ["a_b", "a_c"]),
+    ):
+        path.write_text(lines + text)
+        assert [(mesh.name, len(mesh.faces)) for mesh in pgccd.Mesh.load_all(path)] == list(
+            zip(names, (4, 1), strict=True)
+        )
+        assert len(pgccd.Mesh.load(path).faces) == 5
+
+
 def test_objects_of_files_with_polygons(tmp_path: Path) -> None:
     pytest.importorskip("mapbox_earcut")
     lines = [f"v {x} {y} {z}" for x, y, z in L_SHAPE]
@@ -115,15 +258,18 @@ def test_objects_of_files_with_polygons(tmp_path: Path) -> None:
     assert area(meshes[0]) == pytest.approx(3.0)
 
 
-def test_collada_polygons_with_notches_are_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize("prefix", ["", "c:"])
+@pytest.mark.parametrize("kind", ["polylist", "polygons"])
+def test_collada_polygons_with_notches_are_refused(kind: str, prefix: str, tmp_path: Path) -> None:
     pytest.importorskip("collada")
     path = tmp_path / "notch.dae"
     corners = np.array(L_SHAPE, dtype=np.float64)
     for polygon, is_sound in (("0 1 4 5", True), ("0 1 2 3 4 5", False)):
-        count = len(polygon.split())
-        path.write_text(
-            collada(corners, f'<polylist count="1">{{}}<vcount>{count}</vcount><p>{polygon}</p></polylist>')
-        )
+        count = f"<vcount>{len(polygon.split())}</vcount>" if kind == "polylist" else ""
+        text = collada(corners, f'<{kind} count="1">{{}}{count}<p>{polygon}</p></{kind}>')
+        if prefix:
+            text = re.sub("<(/?)(?=[a-zA-Z])", rf"<\1{prefix}", text).replace("xmlns=", "xmlns:c=")
+        path.write_text(text)
         if is_sound:
             assert len(pgccd.Mesh.load(path).faces) == 2
         else:
@@ -203,11 +349,23 @@ def test_text_stl_files_in_upper_case_or_with_a_mark(case: str, mark: bytes, tmp
     assert len(mesh.faces) == 12 and volume(mesh) == pytest.approx(1.0)
 
 
+def test_solids_of_text_stl_files_keep_their_names(tmp_path: Path) -> None:
+    path = tmp_path / "two.stl"
+    texts = [trimesh.creation.box([1.0, 1.0, size]).export(file_type="stl_ascii") for size in (1.0, 2.0)]
+    named = [re.sub("solid *\n", f"solid {name}\n", text) for name, text in zip(("Left", "Right"), texts, strict=True)]
+    path.write_text("".join(named))
+    meshes = pgccd.Mesh.load_all(path)
+    assert [(mesh.name, volume(mesh)) for mesh in meshes] == [
+        ("Left", pytest.approx(1.0)),
+        ("Right", pytest.approx(2.0)),
+    ]
+
+
 @pytest.mark.parametrize("kind", ["glb", "gltf", "data"])
 def test_gltf_strips_fans_and_lines_beside_triangles(kind: str, tmp_path: Path) -> None:
     """A pyramid: its sides a fan, its base a strip, its edges lines that are left out; with and without indices."""
     points = np.array([[0, 0, 1], [1, 1, 0], [-1, 1, 0], [-1, -1, 0], [1, -1, 0]], dtype="<f4")
-    fan, strip, edges = ([0, 1, 2, 3, 4, 1], [2, 1, 3, 4], [1, 2, 2, 3])
+    fan, strip, edges = ([0, 1, 2, 3, 4, 1], [2, 1, 3, 4], [1, 2, 3, 4])
     flat = points[[2, 1, 3, 4]]  # without indices
     buffer = points.tobytes() + np.array(fan + strip + edges, dtype="<u2").tobytes() + flat.tobytes()
     begins = np.cumsum([0, points.nbytes, 2 * len(fan), 2 * len(strip), 2 * len(edges), flat.nbytes]).tolist()
@@ -247,6 +405,77 @@ def test_gltf_strips_fans_and_lines_beside_triangles(kind: str, tmp_path: Path) 
         path.write_text(json.dumps(content))
     mesh = pgccd.Mesh.load(path)
     assert len(mesh.faces) == 6 and volume(mesh) == pytest.approx(4.0 / 3.0) and mesh.unit == 1.0
+    assert declared_triangles(path) == 4  # of the fan
+
+
+def two_squares(code: int) -> dict[str, Any]:
+    """A glTF file of two squares apart as a strip with joints, after two triangles, whose mode is the default; the
+    indices of both are in one view.
+    """
+    kind = np.dtype({5121: "<u1", 5123: "<u2", 5125: "<u4"}[code])
+    points = np.array([[x, y, 0] for x in (0, 1, 5, 6) for y in (0, 1)], dtype="<f4")
+    below, strip = [0, 6, 1, 0, 6, 7], [0, 2, 1, 3, 3, 4, 4, 6, 5, 7]
+    rows = np.array(below + strip, dtype=kind)
+    buffer = points.tobytes() + rows.tobytes()
+    indices = {"bufferView": 1, "componentType": code, "type": "SCALAR"}
+    of = {"attributes": {"POSITION": 0}}
+    return {
+        "asset": {"version": "2.0"},
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [of | {"indices": 1}, of | {"indices": 2, "mode": 5}]}],
+        "accessors": [
+            {"bufferView": 0, "componentType": 5126, "count": 8, "type": "VEC3", "min": [0, 0, 0], "max": [6, 1, 0]},
+            indices | {"count": len(below)},
+            indices | {"count": len(strip), "byteOffset": len(below) * kind.itemsize},
+        ],
+        "bufferViews": [
+            {"buffer": 0, "byteLength": points.nbytes},
+            {"buffer": 0, "byteOffset": points.nbytes, "byteLength": rows.nbytes},
+        ],
+        "buffers": [
+            {
+                "byteLength": len(buffer),
+                "uri": "data:application/octet-stream;base64," + base64.b64encode(buffer).decode(),
+            }
+        ],
+    }
+
+
+@pytest.mark.parametrize("code", [5121, 5123, 5125])
+def test_gltf_strips_with_joints(code: int, tmp_path: Path) -> None:
+    """Indices of all types; triangles without area, which join the strips, are no dropped faces."""
+    path = tmp_path / "squares.gltf"
+    path.write_text(json.dumps(two_squares(code)))
+    mesh = pgccd.Mesh.load(path)
+    a, b, c = mesh.vertices[mesh.faces.long()].numpy().transpose(1, 0, 2)
+    doubled = np.cross(b - a, c - a)[:, 2]
+    assert sorted(doubled.tolist()) == [1.0, 1.0, 1.0, 1.0, 6.0, 6.0] and mesh.dropped_faces == 0
+
+
+def test_gltf_files_that_cannot_be_read(tmp_path: Path) -> None:
+    path = tmp_path / "squares.gltf"
+    content = two_squares(5123)
+    content["accessors"][2]["sparse"] = {"count": 1}
+    path.write_text(json.dumps(content))
+    with pytest.raises(ValueError, match="^path: .*a glTF file with sparse indices, which cannot be read"):
+        pgccd.Mesh.load(path)
+    content = two_squares(5123)
+    del content["buffers"][0]["uri"]
+    path.write_text(json.dumps(content))
+    with pytest.raises(ValueError, match="^path: .*a glTF file whose buffer 0 is missing"):
+        pgccd.Mesh.load(path)
+
+
+def with_unit(path: Path, unit: str) -> Path:
+    """A copy of a 3MF file that states another unit."""
+    changed = path.parent / "other.3mf"
+    with zipfile.ZipFile(path) as archive:
+        entries = {name: archive.read(name) for name in archive.namelist()}
+    with zipfile.ZipFile(changed, "w") as archive:
+        for name, content in entries.items():
+            archive.writestr(name, re.sub(rb' unit="[a-z]+"', f' unit="{unit}"'.encode(), content))
+    return changed
 
 
 def test_units_of_files(tmp_path: Path) -> None:
@@ -267,6 +496,17 @@ def test_units_of_files(tmp_path: Path) -> None:
             assert converted.unit == metres and float(converted.vertices[:, 2].max()) == pytest.approx(
                 expected, rel=1e-6
             )
+    # Of 3MF files, all that their format knows.
+    for name, metres in (("micron", 1e-6), ("millimeter", 1e-3), ("centimeter", 1e-2), ("meter", 1.0)):
+        assert pgccd.Mesh.load(with_unit(path, name)).unit == metres
+    for name, metres in (("inch", 0.0254), ("foot", 0.3048)):
+        path = with_unit(path, name)
+        assert pgccd.Mesh.load(path).unit == metres
+        for wanted, size in (("m", 2.0 * metres), ("cm", 200.0 * metres), ("ft", 2.0 * metres / 0.3048)):
+            (mesh,) = pgccd.Mesh.load_all(path, unit=wanted)  # type: ignore[arg-type]
+            assert float(mesh.vertices[:, 2].max()) == pytest.approx(size, rel=1e-6)
+    with pytest.raises(ValueError, match="^path: .*other.3mf: expected lengths in one of meters, .*; got 'furlong'"):
+        pgccd.Mesh.load(with_unit(path, "furlong"))
     inches = collada(box.vertices, triangles(box.faces), '<unit name="inch" meter="0.0254"/>')
     (tmp_path / "inches.dae").write_text(inches)
     assert pgccd.Mesh.load(tmp_path / "inches.dae").unit == 0.0254

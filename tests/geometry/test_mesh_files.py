@@ -107,6 +107,15 @@ def test_negative_zero_and_faces_that_welding_flattens() -> None:
         pgccd.Mesh.from_trimesh(trimesh.Trimesh(vertices, [[0, 3, 1]], process=False))
 
 
+def test_the_vertex_that_is_not_finite_is_named_by_its_row() -> None:
+    """Of the file, of which vertices before it are joined."""
+    trimesh = pytest.importorskip("trimesh")
+    vertices = [[0.0, 0, 0], [0, 0, 0], [0, 0, 0], [1, 0, 0], [0, 1, 0], [0, np.nan, 1]]
+    mesh = trimesh.Trimesh(vertices, [[0, 3, 4], [1, 4, 5]], process=False, validate=False)
+    with pytest.raises(ValueError, match=r"^mesh: .*vertex 5 is not finite|^vertices: vertex 5 is not finite"):
+        pgccd.Mesh.from_trimesh(mesh)
+
+
 def test_meshes_of_a_scene_one_by_one(tmp_path: Path) -> None:
     trimesh = pytest.importorskip("trimesh")
     place = trimesh.transformations.rotation_matrix(0.7, [1, 2, 3]) + 5.0 * np.eye(4, k=3)

@@ -14,6 +14,11 @@ ON_UNTESTED = ("robots/test_untested.py",)
 ON_SEARCH = ("robots/test_certify.py",)
 NOT_ATTAINED = "a term of higher order in the turn, of which no chain is known that attains it"
 
+
+def _pose_error(name: str, old: str, new: str) -> Mutant:
+    return Mutant(f"arm-pose-error-{name}", STRAY, old, new, ON_STRAY, switched=False)
+
+
 MUTANTS = [
     Mutant(
         "links-fixed-to-the-root-are-neighbours",
@@ -47,6 +52,19 @@ MUTANTS = [
         LINKS,
         "for pair in product(members, neighbours)",
         "for pair in product(members[:1], neighbours)",
+        ON_UNTESTED,
+        switched=False,
+    ),
+    Mutant(
+        "links-siblings-are-neighbours",
+        LINKS,
+        "    return pairs",
+        """    return pairs | {
+        (min(pair), max(pair))
+        for one, other in combinations(groups, 2)
+        if one and other and rigid[tree.joints[one].parent] == rigid[tree.joints[other].parent] > 0
+        for pair in product(groups[one], groups[other])
+    }""",
         ON_UNTESTED,
         switched=False,
     ),
@@ -159,6 +177,37 @@ MUTANTS = [
         "_POSE_ERROR = 2.0**-46",
         "_POSE_ERROR = 0.0",
         ON_STRAY,
+        switched=False,
+    ),
+    _pose_error("without-turns", "joints + turns[n]", "joints + 0.0 * turns[n]"),
+    _pose_error("without-slides", "length + slides[n]", "length + 0.0 * slides[n]"),
+    _pose_error("without-joints", "joints + places.present[n]", "joints"),
+    _pose_error("without-lengths", "length + places.distance[n], joints", "length, joints"),
+    _pose_error(
+        "without-reach",
+        "length, joints = chains.forth, chains.reach,",
+        "length, joints = chains.forth, 0.0 * chains.reach,",
+    ),
+    _pose_error("without-scale", "chains.of_joints(q).abs() * chains.scale.abs()", "chains.of_joints(q).abs()"),
+    _pose_error("without-offset", " + chains.offset.abs()", ""),
+    _pose_error("scaled-0.99", "_POSE_ERROR * (joints * length)", "0.99 * _POSE_ERROR * (joints * length)"),
+    Mutant("arm-turns-4", STRAY, "MOST_TURN = 1.0", "MOST_TURN = 4.0", ON_SEARCH, switched=False),
+    Mutant("arm-first-steps-2", SEARCH, "0.99 * MOST_TURN", "1.98 * MOST_TURN", ON_SEARCH, switched=False),
+    Mutant("arm-first-steps-4", SEARCH, "0.99 * MOST_TURN", "3.96 * MOST_TURN", ON_SEARCH, switched=False),
+    Mutant(
+        "arm-first-steps-unrounded",
+        SEARCH,
+        "0.99 * MOST_TURN)).ceil()",
+        "0.99 * MOST_TURN)).floor()",
+        ON_SEARCH,
+        switched=False,
+    ),
+    Mutant(
+        "arm-turns-unscaled",
+        STRAY,
+        "(chains.of_joints(step) * chains.scale).abs()",
+        "chains.of_joints(step).abs()",
+        (*ON_STRAY, *ON_SEARCH),
         switched=False,
     ),
     Mutant(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -14,6 +15,8 @@ from support.arms import UPRIGHT, beams, loaded, random_arm
 
 import pgccd
 from pgccd.robots import Certificate, Obstacles, Robot, Verdict, path_search
+from pgccd.robots.kinematics import Poses
+from pgccd.robots.stray import Chains, stray_bound, turns
 
 SAMPLES, PATHS = 2001, 6
 
@@ -270,6 +273,49 @@ def test_turns_that_are_too_long(tmp_path: Path) -> None:
     assert found.verdict.tolist() == [Verdict.FREE, Verdict.INVALID, Verdict.FREE, Verdict.INVALID]
     assert found.time[found.verdict == Verdict.INVALID].tolist() == [0.0, 0.0] and found.steps < 20_000
     same(robot.certify(q[2:3]), found, 2)
+
+
+def test_links_that_turn_far_between_waypoints(tmp_path: Path) -> None:
+    """The longer way round is searched, not the shorter one between the same poses, and the whole of several turns."""
+    beam = Part("revolute", UPRIGHT, UPRIGHT, (0, 0, 1), half=(0.5, 0.05, 0.05), at=(0.5, 0.0, 0.0))
+    robot = loaded(Arm([beam]), tmp_path)
+    post, way, within = pgccd.Mesh.box([0.05, 0.05, 1.0]), [], []
+    for turn in (*np.linspace(2.0, 4.0, 21), 5.9, 6.5, 7.9, 9.5, 12.6, 15.5):
+        for sign in (1.0, -1.0):
+            way.append([[0.0], [sign * turn]])
+            # A post in the middle of the way, or of its first turn.
+            within.append(sign * min(0.5 * turn, math.pi))
+    at = torch.tensor([[[0.8 * math.cos(angle), 0.8 * math.sin(angle), 0.0]] for angle in within])
+    found = robot.certify(torch.tensor(way), Obstacles([post], at))
+    assert found.verdict.tolist() == [int(Verdict.COLLISION)] * len(way)
+    for (_, (end,)), angle, time in zip(way, within, found.time.tolist(), strict=True):
+        # The beam's side and the post's corner are ahead of both centres.
+        assert 0.0 < (angle - time * end) * math.copysign(1.0, end) < 0.15
+
+
+def test_links_turn_little_in_every_step(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The proof of the bound is for links that turn by at most one radian in a step, the turns of all joints added."""
+    turned: list[float] = []
+
+    def bound(chains: Chains, start: Poses, end: Poses) -> torch.Tensor:
+        # Turns by the values of the joints, of which those of the chain of each body are added.
+        change = (end.value - start.value).abs()
+        for row in range(len(chains.frames)):
+            joints = set(chains.forth.revolute[:, row].tolist()) - {len(change)}
+            turned.append(float(change[sorted(joints)].sum(dim=0).max()) if joints else 0.0)
+        return stray_bound(chains, start, end)
+
+    monkeypatch.setattr("pgccd.robots.robot.stray_bound", bound)
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        robot = loaded(random_arm(rng, 6), tmp_path)
+        obstacles, _, _ = boxes(rng, 3, 0.4 * robot.reach, 0.9 * robot.reach)
+        q = rng.normal(size=(4, 4, robot.joint_count)) * 10.0 ** rng.uniform(-1, 1, (4, 1, 1))
+        turned.clear()
+        robot.certify(torch.tensor(q), obstacles)
+        chains = robot._chains_on(torch.device("cpu"))
+        longest = turns(chains, torch.tensor(np.diff(q, axis=1)).flatten(0, 1)).max()
+        assert float(longest) > 4.0 and 0.5 < max(turned) <= 1.0
 
 
 def test_arrays_and_gradients(tmp_path: Path) -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+import mpmath
 import numpy as np
 import pytest
 import torch
@@ -12,7 +14,7 @@ from support.arms import UPRIGHT, loaded, random_arm
 
 from pgccd.motion.paths import RigidMotion
 from pgccd.robots import Robot
-from pgccd.robots.stray import MOST_TURN, stray_bound, turns
+from pgccd.robots.stray import MOST_TURN, pose_error, stray_bound, turns
 
 TIMES = np.linspace(0.0, 1.0, 41)
 
@@ -111,6 +113,150 @@ def test_single_and_parallel_joints_turn_on_arcs(tmp_path: Path) -> None:
     first = bound_of(robot, q0, q1)
     robot._extents = [1e3 * extent for extent in robot._extents]
     assert np.allclose(bound_of(robot, q0, q1), first, rtol=0, atol=1e-9)
+
+
+def chain_of(arm: Arm, part: int) -> list[int]:
+    """The parts from the base to this one."""
+    chain = []
+    while part >= 0:
+        chain.append(part)
+        parent = arm.parts[part].parent
+        part = part - 1 if parent is None else parent
+    return chain[::-1]
+
+
+def values_of(arm: Arm, q: list[float]) -> list[mpmath.mpf]:
+    """The exact value of the joint of each part, in a configuration."""
+    value = [mpmath.mpf(0)] * len(arm.parts)
+    for k, x in zip(arm.coordinates, q, strict=True):
+        value[k] = mpmath.mpf(x)
+    for k, part in enumerate(arm.parts):
+        if part.mimic:
+            of, factor, offset = part.mimic
+            value[k] = mpmath.mpf(factor) * value[of] + mpmath.mpf(offset)
+    return value
+
+
+def exact_frame(arm: Arm, part: int, values: list[mpmath.mpf]) -> tuple[mpmath.matrix, mpmath.matrix]:
+    """Rotation and position of the frame of a part."""
+
+    def turned(axis: list[mpmath.mpf], angle: mpmath.mpf) -> mpmath.matrix:
+        x, y, z = axis
+        cross = mpmath.matrix([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        return mpmath.eye(3) + mpmath.sin(angle) * cross + (1 - mpmath.cos(angle)) * (cross * cross)
+
+    rotation, position = mpmath.eye(3), mpmath.zeros(3, 1)
+    for k in chain_of(arm, part):
+        of = arm.parts[k]
+        position += rotation * mpmath.matrix([float(x) for x in of.xyz])
+        for axis, angle in list(zip(np.eye(3).tolist(), of.rpy, strict=True))[::-1]:
+            rotation = rotation * turned(axis, mpmath.mpf(float(angle)))
+        length = mpmath.sqrt(sum(mpmath.mpf(float(x)) ** 2 for x in of.axis))
+        axis = [mpmath.mpf(float(x)) / length for x in of.axis]
+        if of.kind == "revolute":
+            rotation = rotation * turned(axis, values[k])
+        elif of.kind == "prismatic":
+            position += rotation * (values[k] * mpmath.matrix(axis))
+    return rotation, position
+
+
+HINGE = Part("revolute", UPRIGHT, UPRIGHT, (0.3, 0.4, 0.6), half=(0.5, 0.05, 0.05), at=(1.0, 0.0, 0.0))
+SLIDE = Part("prismatic", (0.1, 0.2, 0.3), (0.1, 0.7, -0.4), (1.0, 2.0, -0.5), half=(0.1, 0.2, 0.1))
+FAR_AWAY = {
+    "turns": (Arm([HINGE]), [999_000.123]),
+    "turns of all joints": (Arm([HINGE, replace(HINGE, half=None), HINGE]), [0.1, -654_321.9, 0.2]),
+    "slides": (Arm([SLIDE]), [-987_654.321]),
+    "slides of the joint before": (Arm([SLIDE, HINGE]), [876_543.21, 0.3]),
+    "values of a joint that follows": (Arm([HINGE, replace(HINGE, mimic=(0, 123_456.7, 0.1))]), [7.65]),
+    "offset of a joint that follows": (Arm([HINGE, replace(HINGE, mimic=(0, 1.0, 912_345.6))]), [0.1]),
+    "length of the chain": (Arm([HINGE, replace(HINGE, xyz=(98_765.4, 0.0, 43_210.9))]), [0.7, 0.2]),
+}
+
+
+def errors_and_bounds(arm: Arm, robot: Robot, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(N,) of the bodies in one configuration (J,): how far a point within reach is from its exact place, at most, and
+    the bound of that.
+    """
+    x, r = (column[0].tolist() for column in robot.poses(torch.tensor(q)[None]))
+    chains = robot._chains_on(torch.device("cpu"))
+    bound = pose_error(chains, torch.tensor(q).abs()[None])[0].numpy()
+    errors = []
+    with mpmath.workdps(40):
+        values = values_of(arm, q.tolist())
+        for link, position, turn, reach in zip(robot.body_link.tolist(), x, r, robot._extents, strict=True):
+            rotation, exact = exact_frame(arm, int(robot.link_names[link].removeprefix("link")), values)
+            w, a, b, c = (mpmath.mpf(part) for part in turn)
+            found = mpmath.matrix(
+                [
+                    [w * w + a * a - b * b - c * c, 2 * (a * b - w * c), 2 * (a * c + w * b)],
+                    [2 * (a * b + w * c), w * w - a * a + b * b - c * c, 2 * (b * c - w * a)],
+                    [2 * (a * c - w * b), 2 * (b * c + w * a), w * w - a * a - b * b + c * c],
+                ]
+            ) / (w * w + a * a + b * b + c * c)
+            away = mpmath.norm(mpmath.matrix(position) - exact)
+            errors.append(float(away + reach * mpmath.mnorm(found - rotation, "f")))
+    return np.array(errors), bound
+
+
+@pytest.mark.parametrize("what", FAR_AWAY)
+def test_errors_of_poses_grow_with(what: str, tmp_path: Path) -> None:
+    """Poses are compared with exact ones: the bound holds, and would not without the part of this name."""
+    arm, q = FAR_AWAY[what]
+    robot = loaded(arm, tmp_path)
+    largest = 0.0
+    for k in range(8):
+        given = np.array(q) * (1.0 - k / 1000.0)
+        errors, bounds = errors_and_bounds(arm, robot, given)
+        assert (errors <= bounds).all(), (errors, bounds)
+        largest = max(largest, errors[-1])
+    assert largest > 2.0**-46 * (2 + len(arm.parts) + 1.0) * 3.0 * len(arm.parts)
+
+
+def test_errors_of_poses_of_any_arm(tmp_path: Path) -> None:
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        arm = random_arm(rng, int(rng.integers(1, 7)))
+        robot = loaded(arm, tmp_path)
+        q = rng.uniform(-1.0, 1.0, robot.joint_count) * 10.0 ** rng.uniform(-1.0, 5.9, robot.joint_count)
+        errors, bounds = errors_and_bounds(arm, robot, q)
+        assert (errors <= bounds).all(), (seed, errors / bounds)
+
+
+def test_the_error_of_poses_is_as_proven(tmp_path: Path) -> None:
+    """128u (1 + joints + sum of angles) times the length of chain and link: known from the parts of the arm."""
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        arm = random_arm(rng, int(rng.integers(1, 9)))
+        robot = loaded(arm, tmp_path)
+        q = rng.uniform(-1.0, 1.0, robot.joint_count) * 10.0 ** rng.uniform(-3.0, 5.9, robot.joint_count)
+        given = torch.tensor(np.abs(q))[None]
+        (bound,) = pose_error(robot._chains_on(given.device), given).tolist()
+        values = [0.0] * len(arm.parts)
+        for k, x in zip(arm.coordinates, np.abs(q).tolist(), strict=True):
+            values[k] = x
+        for k, part in enumerate(arm.parts):
+            if part.mimic:
+                of, factor, offset = part.mimic
+                values[k] = abs(factor) * values[of] + abs(offset)
+        for link, found in zip(robot.body_link.tolist(), bound, strict=True):
+            last = int(robot.link_names[link].removeprefix("link"))
+            chain, part = chain_of(arm, last), arm.parts[last]
+            angles = sum(values[k] for k in chain if arm.parts[k].kind == "revolute")
+            slides = sum(values[k] for k in chain if arm.parts[k].kind == "prismatic")
+            farthest = np.abs(part.at) + (0.0 if part.half is None else np.array(part.half))
+            length = np.linalg.norm(farthest) + sum(np.linalg.norm(arm.parts[k].xyz) for k in chain) + slides
+            # The joint that places the base in the world counts too.
+            least, most = (128.0 * 2.0**-53 * (1 + len(chain) + k + angles) * length for k in (0, 1))
+            assert (1.0 - 1e-12) * least <= found <= 1.5 * most, (seed, last)
+
+
+def test_turns_are_those_of_all_joints_of_a_chain(tmp_path: Path) -> None:
+    """Also of joints that follow others at other rates; not of slides; of the link that turns most."""
+    side = replace(HINGE, parent=-1)
+    arm = Arm([HINGE, SLIDE, replace(HINGE, mimic=(0, -7.5, 0.3)), side])
+    chains = loaded(arm, tmp_path)._chains_on(torch.device("cpu"))
+    step = torch.tensor([[0.2, 5.0, 0.1], [-0.2, 5.0, 1.8], [0.0, 5.0, 0.0]], dtype=torch.float64)
+    assert np.allclose(turns(chains, step).numpy(), [0.2 * 8.5, 1.8, 0.0], rtol=1e-9, atol=0.0)
 
 
 def test_margins_of_trajectories(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import itertools
 import warnings
 from pathlib import Path
@@ -56,6 +57,11 @@ URDF_CASES = {
     "WORLD WORLD>BASE:fixed BASE>inertia:fixed inertia>shoulder:revolute": "inertia-shoulder",
     # Two arms on one table.
     "table table>left:revolute table>right:revolute left>grip:revolute": "grip-left left-table right-table",
+    # Fingers of one palm are no neighbours, nor are the legs of a body, or what is fixed to them.
+    "base base>palm:revolute palm>left:prismatic palm>right:prismatic": "base-palm left-palm palm-right",
+    "WORLD WORLD>X:prismatic X>trunk:fixed trunk>one:revolute trunk>HIP:revolute HIP>two:revolute two>foot:fixed": (
+        "foot-trunk foot-two one-trunk trunk-two"
+    ),
     # A camera on the ceiling is fixed to the root of the arm, and so is its stand.
     "WORLD WORLD>base:fixed WORLD>camera:fixed base>arm:revolute": "arm-base",
 }
@@ -85,6 +91,31 @@ def test_a_base_does_not_drive_through_a_wall_on_its_root(tmp_path: Path) -> Non
     found = robot.certify(torch.tensor([[[0.0], [2.0]]]))
     assert found.verdict.tolist() == [int(Verdict.COLLISION)] and found.names(0) == ("wall", "cart")
     assert float(found.time) == pytest.approx(0.375, abs=1e-3)
+
+
+def test_fingers_of_one_palm_meet(tmp_path: Path) -> None:
+    """Links that are children of one moving link are tested against each other."""
+    pytest.importorskip("yourdfpy")
+    shape = '<collision><origin xyz="{} 0 0"/><geometry><box size="0.1 0.1 0.1"/></geometry></collision>'
+    links = LINK.format("base", "") + LINK.format("palm", shape.format(0).replace("0 0", "0 9"))
+    links += LINK.format("left", shape.format(-1)) + LINK.format("right", shape.format(1))
+    joints = JOINT.format("base", "palm", "revolute", "0 0 1", LIMIT)
+    joints += JOINT.format("palm", "left", "prismatic", "1 0 0", LIMIT)
+    joints += JOINT.format("palm", "right", "prismatic", "-1 0 0", LIMIT)
+    (tmp_path / "robot.urdf").write_text(f'<robot name="r">{links}{joints}</robot>')
+    robots = {"urdf": pgccd.robots.load_urdf(tmp_path / "robot.urdf")}
+    if importlib.util.find_spec("mujoco"):
+        box = '<geom type="box" size=".05 .05 .05" pos="0 0 {}"/>'
+        finger = '<body name="{}" pos="{} 0 0"><joint type="slide" axis="{} 0 0"/>' + box.format(0) + "</body>"
+        inside = finger.format("left", -1, 1) + finger.format("right", 1, -1)
+        palm = f'<body name="palm"><joint/>{box.format(9)}{inside}</body>'
+        (tmp_path / "robot.xml").write_text(f"<mujoco><worldbody>{palm}</worldbody></mujoco>")
+        robots["mjcf"] = pgccd.robots.load_mjcf(tmp_path / "robot.xml")
+    q = torch.tensor([[[0.0, 0.0, 0.0], [0.5, 1.0, 1.0]]])
+    for kind, robot in robots.items():
+        found = robot.certify(q)
+        assert found.verdict.tolist() == [int(Verdict.COLLISION)] and found.names(0) == ("left", "right"), kind
+        assert float(found.time) == pytest.approx(0.95, abs=1e-3)
 
 
 def test_srdf_files_disable_and_enable(tmp_path: Path) -> None:
