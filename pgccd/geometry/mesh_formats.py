@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import codecs
 import json
+import re
 import struct
 from pathlib import Path
 from typing import Any
@@ -67,6 +68,15 @@ def mujoco_mesh(data: bytes) -> tuple[np.ndarray, np.ndarray]:
 def plain_stl(data: bytes) -> bytes:
     """A text STL file in lower case, without a byte-order mark."""
     return data.removeprefix(codecs.BOM_UTF8).lower()
+
+
+_COMMENT_OF_OBJ = re.compile(rb"(?m)^([ \t]*(?:v|vt|vn|vp|f|l|p)[ \t][^\r\n#]*)#[^\r\n]*")
+
+
+def plain_obj(data: bytes) -> bytes | None:
+    """An OBJ file without comments behind its numbers, which trimesh does not read; None if it has none of them."""
+    plain, count = _COMMENT_OF_OBJ.subn(rb"\1", data)
+    return plain if count else None
 
 
 # Modes of glTF primitives.
