@@ -283,17 +283,17 @@ def real_rows(
     return values.detach().to(torch.float64).contiguous()
 
 
-def entries(state: Any, names: Iterable[str]) -> None:
+def entries(state: Any, names: Iterable[str], argument: str = "state") -> None:
     """Raises unless the state is a dictionary with exactly these names."""
     names = list(names)
     if not isinstance(state, dict):
-        raise TypeError(f"state: expected a dictionary from state_dict, got {describe(state)}")
+        raise TypeError(f"{argument}: expected a dictionary from state_dict, got {describe(state)}")
     for name in names:
         if name not in state:
-            raise ValueError(f"state: has no entry {name!r}")
+            raise ValueError(f"{argument}: has no entry {name!r}")
     for name in state:
         if name not in names:
-            raise ValueError(f"state: expected entries {names}, got {name!r}")
+            raise ValueError(f"{argument}: expected entries {names}, got {name!r}")
 
 
 def check_corners(points: np.ndarray, faces: np.ndarray) -> None:

@@ -373,7 +373,7 @@ class CountedRows(PairColumns):
             arguments.shape(column, name, ("K" if count is None else count, *width), state["pairs"].device)
             count = len(column)
         _check_rows(state, scene)
-        arguments.entries(state["stats"], [each.name for each in fields(Stats) if each.name != "needed"])
+        _check_stats(state["stats"])
         result = cls(**{name: state[name] for name in cls._names}, stats=Stats(**state["stats"]))
         for name in flags:
             setattr(result, name, arguments.flag(state[name], name))
@@ -506,6 +506,23 @@ class Contacts(WithApproach, ContactColumns, CountedRows):
         changed._differentiable = None if self._differentiable is None else change(self._differentiable)
         changed._cause = self._cause
         return changed
+
+
+def _check_stats(stats: Any) -> None:
+    """Raises TypeError or ValueError, naming the entry, unless these are the stats of a `state_dict`."""
+    arguments.entries(stats, [each.name for each in fields(Stats) if each.name != "needed"], "stats")
+    for name, value in stats.items():
+        named = f"stats[{name!r}]"
+        if name == "broad_phase":
+            if not isinstance(value, str):
+                raise TypeError(f"{named}: expected a str, got {arguments.describe(value)}")
+        elif name == "seconds":
+            if not isinstance(value, dict):
+                raise TypeError(f"{named}: expected a dictionary, got {arguments.describe(value)}")
+            for stage, spent in value.items():
+                arguments.number(spent, f"{named}[{stage!r}]")
+        else:
+            arguments.integer(value, named, 0, "a number >= 0")
 
 
 def _check_rows(state: dict[str, Any], scene: Scene | None) -> None:

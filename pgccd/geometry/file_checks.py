@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -23,6 +23,13 @@ _PLY_TYPES = {
     **{"uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4"},
     **{"float": "f4", "float32": "f4", "double": "f8", "float64": "f8"},
 }
+
+
+class _Line(NamedTuple):
+    """A line of a text."""
+
+    number: int  #: from 1
+    words: list[bytes]
 
 
 def declared_triangles(path: Path) -> int | None:
@@ -67,13 +74,24 @@ def _stl_text(data: bytes) -> int:
     return facets
 
 
+_NUMBER = rb"[ \t]+[-+]?(?:(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|(?i:nan|inf(?:inity)?))(?![^ \t\r\n#])"
+_OBJ_NO_VERTEX = re.compile(rb"(?m)^[ \t]*v(?=[ \t])(?!" + 3 * _NUMBER + rb")[^\r\n]*")
+
+
 def _obj(data: bytes) -> int:
-    text = data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
+    text = data.replace(b"\\\r\n", b"   ").replace(b"\\\n", b"  ")  # what stands where stays the same
+
+    def line_of(match: re.Match[bytes]) -> str:
+        before = data.count(b"\n", 0, match.start())
+        return f"line {before + 1}"
+
     vertices = [match.start() for match in re.finditer(rb"(?m)^[ \t]*v[ \t]", text)]
+    if wrong := _OBJ_NO_VERTEX.search(text):
+        raise ValueError(f"{line_of(wrong)}: {wrong[0].decode('ascii', 'replace').strip()!r}: expected three numbers")
     triangles = 0
     for number, match in enumerate(re.finditer(rb"(?m)^[ \t]*f[ \t]+([^\r\n#]*)", text)):
         corners = [corner.split(b"/", 1)[0] for corner in match[1].split()]
-        named = f"face {number}: {match[1].decode('ascii', 'replace').strip()!r}"
+        named = f"{line_of(match)}: face {number}: {match[1].decode('ascii', 'replace').strip()!r}"
         try:
             rows = [int(corner) for corner in corners]
         except ValueError as error:
@@ -92,18 +110,36 @@ def _obj(data: bytes) -> int:
 
 def _off(data: bytes) -> int:
     parts = re.split(rb"OFF", re.sub(rb"#[^\n]*", b"", data), maxsplit=1)
-    lines = [line.split() for line in parts[-1].splitlines() if line.strip()]
+    before = data.count(b"\n") - parts[-1].count(b"\n") + 1
+    numbered = [_Line(k, line.split()) for k, line in enumerate(parts[-1].splitlines(), before) if line.strip()]
+    lines = [line.words for line in numbered]
     try:
         vertex_count, face_count = (int(word) for word in lines[0][:2])
     except (IndexError, ValueError) as error:
         raise ValueError("an OFF file without the numbers of vertices and faces") from error
-    vertices, faces = lines[1 : 1 + vertex_count], lines[1 + vertex_count : 1 + vertex_count + face_count]
+    vertices = lines[1 : 1 + vertex_count]
     _require_rows("an OFF file", "vertices", vertex_count, sum(len(row) >= 3 for row in vertices))
-    sizes = [int(row[0]) for row in faces if len(row) > int(row[0])]
+    sizes = []
+    for line in numbered[1 + vertex_count : 1 + vertex_count + face_count]:
+        row = _integers(line.words[:1], line)
+        if len(line.words) <= row[0]:
+            continue
+        sizes.append(row[0])
+        corners = _integers(line.words[1 : 1 + row[0]], line)
+        if corners and not 0 <= min(corners) <= max(corners) < vertex_count:
+            raise ValueError(f"line {line.number}: face {corners}: there are {vertex_count} vertices")
     _require_rows("an OFF file", "faces", face_count, len(sizes))
     if len(lines) > 1 + vertex_count + face_count:
         raise ValueError("an OFF file that holds more rows than it declares")
     return sum(max(0, size - 2) for size in sizes)
+
+
+def _integers(words: Sequence[bytes], line: _Line) -> list[int]:
+    try:
+        return [int(word) for word in words]
+    except ValueError as error:
+        said = b" ".join(line.words).decode("latin-1")
+        raise ValueError(f"line {line.number}: face {said!r}: expected vertex indices") from error
 
 
 @dataclass
@@ -115,6 +151,8 @@ class _Property:
     length: np.dtype | None
 
 
+# Names that files give to the corners of their faces.
+_CORNERS = ("vertex_indices", "vertex_index")
 #: Columns of an element: numbers (n,), lists of equal length (n, k), or lists of any lengths.
 PlyColumns = dict[str, np.ndarray | list[list[int]]]
 
@@ -141,23 +179,49 @@ def ply_elements(data: bytes) -> Iterator[tuple[str, PlyColumns, bool]]:
             types = [np.dtype(order + _PLY_TYPES[name]) for name in words[1 + (words[1] == "list") : -1]]
             elements[-1][2].append(_Property(words[-1], types[-1], types[0] if len(types) == 2 else None))
     is_text = kind == "ascii"
-    lines = (line.split() for line in body.splitlines() if line.strip()) if is_text else iter(())
-    begin = 0
+    numbered = enumerate(body.splitlines(), header.count(b"\n") + 2)
+    lines = (_Line(number, line.split()) for number, line in numbered if line.strip()) if is_text else iter(())
+    begin, vertices = 0, sum(count for name, count, _ in elements if name == "vertex")
     for name, count, properties in elements:
+        rows: list[_Line] = []
         if is_text:
-            columns, found = _text_rows(list(itertools.islice(lines, count)), properties)
+            rows = list(itertools.islice(lines, count))
+            columns, found = _text_rows(rows, properties)
         else:
             columns, found, begin = _binary_rows(body, begin, count, properties)
         _require_rows("a PLY file", f"element {name}", count, found)
+        for corners in _CORNERS:
+            if corners in columns:
+                columns[corners] = _corners(columns[corners], rows, vertices)
         yield name, columns, is_text
     if next(lines, None) is not None:
         raise ValueError("a PLY file that holds more rows than it declares")
 
 
+def _corners(rows: np.ndarray | list[list[int]], lines: Sequence[_Line], vertices: int) -> np.ndarray | list[list[int]]:
+    """Corners of faces as integers: files may have them as floats.
+
+    Raises:
+        ValueError: naming the face of a number that is no vertex.
+    """
+    if isinstance(rows, np.ndarray):
+        with np.errstate(invalid="ignore"):  # infinite numbers
+            if bool(((rows >= 0) & (rows < vertices) & (rows % 1 == 0)).all()):
+                return rows.astype(np.int64)
+        rows = rows.tolist()
+    for face, row in enumerate(rows):
+        at = f"face {face} (line {lines[face].number})" if lines else f"face {face}"
+        if any(corner != corner or corner % 1 for corner in row):
+            raise ValueError(f"{at}: {[float(corner) for corner in row]}: expected vertex indices")
+        if any(not 0 <= corner < vertices for corner in row):
+            raise ValueError(f"{at}: {[int(corner) for corner in row]}: there are {vertices} vertices")
+    return [[int(corner) for corner in row] for row in rows]
+
+
 def _ply(data: bytes) -> int:
     triangles = 0
     for _, columns, _ in ply_elements(data):
-        corners = columns.get("vertex_indices", columns.get("vertex_index"))
+        corners = next((columns[name] for name in _CORNERS if name in columns), None)
         if isinstance(corners, np.ndarray) and corners.ndim == 2:
             triangles += len(corners)
         elif corners is not None:
@@ -165,17 +229,19 @@ def _ply(data: bytes) -> int:
     return triangles
 
 
-def _text_rows(rows: Sequence[Sequence[bytes]], properties: Sequence[_Property]) -> tuple[PlyColumns, int]:
+def _text_rows(rows: Sequence[_Line], properties: Sequence[_Property]) -> tuple[PlyColumns, int]:
     """The columns, and the number of whole rows."""
     values: list[list[Any]] = [[] for _ in properties]
     whole = 0
-    for row in rows:
+    for line in rows:
+        row = line.words
         at, here = 0, []
         for each in properties:
             size = 1
             if each.length is not None and at < len(row):
                 if not row[at].isdigit():
-                    raise ValueError(f"a PLY file with {row[at].decode('latin-1')!r} as the length of a list")
+                    word = row[at].decode("latin-1")
+                    raise ValueError(f"line {line.number}: a PLY file with {word!r} as the length of a list")
                 size, at = int(row[at]), at + 1
             here.append(row[at : at + size])
             at += size
@@ -186,14 +252,27 @@ def _text_rows(rows: Sequence[Sequence[bytes]], properties: Sequence[_Property])
             column.append(given)
     columns: PlyColumns = {}
     for each, column in zip(properties, values, strict=True):
-        if each.length is None:
-            columns[each.name] = np.array([given[0] for given in column], dtype=each.values.kind + "8")
-        else:
-            columns[each.name] = _lists([[int(float(word)) for word in given] for given in column])
+        try:
+            if each.length is None:
+                columns[each.name] = np.array([given[0] for given in column], dtype=each.values.kind + "8")
+            else:
+                columns[each.name] = _lists([[int(w) if w.isdigit() else float(w) for w in given] for given in column])
+        except ValueError as error:
+            raise ValueError(f"{_first_wrong(column, rows)}: {error}") from error
     return columns, whole
 
 
-def _lists(rows: list[list[int]]) -> np.ndarray | list[list[int]]:
+def _first_wrong(column: Sequence[Sequence[bytes]], rows: Sequence[_Line]) -> str:
+    """The line of the first row whose words are not all numbers."""
+    for given, line in zip(column, rows, strict=False):
+        try:
+            [float(word) for word in given]
+        except ValueError:
+            return f"line {line.number}"
+    return "a PLY file"
+
+
+def _lists(rows: list[list[Any]]) -> np.ndarray | list[list[int]]:
     return np.array(rows).reshape(-1, 3) if all(len(row) == 3 for row in rows) else rows
 
 

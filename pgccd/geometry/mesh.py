@@ -17,7 +17,7 @@ from pgccd import _host, arguments
 from pgccd.geometry import mesh_files, shapes
 from pgccd.geometry.boxes import elongated_box
 from pgccd.geometry.incidence import Incidence
-from pgccd.geometry.origin import Origin, checked_origin, origin_point
+from pgccd.geometry.origin import Origin, checked_origin, checked_point, origin_point
 
 # Maximum number of triangles per leaf of the hierarchy: one per lane of a vector unit.
 LEAF_SIZE = 8
@@ -344,11 +344,9 @@ class Mesh:
         points = _as_array(state["vertices"], np.float64, "vertices")
         triangles = _as_array(state["faces"], np.int64, "faces")
         _check_faces(points, triangles)
-        places = [checked_origin(state[name]) for name in ("origin", "centre", "centre_offset")]
-        if any(isinstance(place, str) for place in places):
-            raise TypeError("origin: expected a point (3 numbers) in a state_dict")
+        places = [checked_point(state[name], name) for name in ("origin", "centre", "centre_offset")]
         mesh = cls.__new__(cls)
-        mesh._prepare(points, triangles, *places)  # type: ignore[arg-type]
+        mesh._prepare(points, triangles, *places)
         for name in ("welded_vertices", "dropped_faces"):
             setattr(mesh, name, arguments.integer(state[name], name, 0, "a number >= 0"))
         for name, allowed in (("name", str), ("unit", float), ("source_vertex", Tensor), ("source_face", Tensor)):

@@ -14,7 +14,7 @@ import numpy as np
 
 from pgccd import arguments
 from pgccd.geometry.file_checks import declared_triangles
-from pgccd.geometry.mesh_formats import collada_without_looks, gltf_of_triangles, mujoco_mesh
+from pgccd.geometry.mesh_formats import collada_without_looks, gltf_of_triangles, mujoco_mesh, plain_obj
 from pgccd.geometry.polygons import PolygonFile, read_polygons, require_convex_polygons
 
 #: Units of lengths that files state, in metres.
@@ -110,6 +110,8 @@ def _loaded(trimesh: Any, path: Path, options: dict[str, Any]) -> Any:
         return trimesh.load(io.BytesIO(triangles), file_type="glb", process=False)
     if (polygons := read_polygons(path)) is not None:
         return _of_polygons(trimesh, polygons, bool(options))
+    if kind == ".obj" and (plain := plain_obj(path.read_bytes())) is not None:
+        return trimesh.load(io.BytesIO(plain), file_type="obj", process=False, **options)
     return trimesh.load(fspath(path), process=False, **options)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import re
 import struct
 from pathlib import Path
 from typing import Any
@@ -61,6 +62,15 @@ def mujoco_mesh(data: bytes) -> tuple[np.ndarray, np.ndarray]:
     points = np.frombuffer(data, "<f4", 3 * vertices, 16).reshape(-1, 3)
     corners = np.frombuffer(data, "<i4", 3 * faces, expected - 12 * faces).reshape(-1, 3)
     return points.astype(np.float64), corners.astype(np.int64)
+
+
+_COMMENT_OF_OBJ = re.compile(rb"(?m)^([ \t]*(?:v|vt|vn|vp|f|l|p)[ \t][^\r\n#]*)#[^\r\n]*")
+
+
+def plain_obj(data: bytes) -> bytes | None:
+    """An OBJ file without comments behind its numbers, which trimesh does not read; None if it has none of them."""
+    plain, count = _COMMENT_OF_OBJ.subn(rb"\1", data)
+    return plain if count else None
 
 
 # Modes of glTF primitives.

@@ -39,12 +39,20 @@ def checked_origin(origin: Origin) -> np.ndarray | str:
     """
     if isinstance(origin, str) and origin in ("centroid", "center_of_mass"):
         return origin
-    expected = 'a point (3 numbers), "centroid" or "center_of_mass"'
-    point = arguments.real_numbers(origin, "origin", expected).cpu().numpy().copy()
+    return checked_point(origin, "origin", 'a point (3 numbers), "centroid" or "center_of_mass"')
+
+
+def checked_point(value: npt.ArrayLike | Tensor, name: str, expected: str = "a point (3 numbers)") -> np.ndarray:
+    """Validates a point: returns it, (3,).
+
+    Raises:
+        TypeError, ValueError: it is not a finite point, naming the argument.
+    """
+    point = arguments.real_numbers(value, name, expected).cpu().numpy().copy()
     if point.shape != (3,):
-        raise ValueError(f"origin: expected {expected}, got shape {point.shape}")
+        raise ValueError(f"{name}: expected {expected}, got shape {point.shape}")
     if not np.isfinite(point).all():
-        raise ValueError(f"origin: expected {expected}, got {point.tolist()}")
+        raise ValueError(f"{name}: expected {expected}, got {point.tolist()}")
     return point
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from dataclasses import dataclass
 
 import torch
@@ -222,7 +223,7 @@ class PathSearch:
 
     def _turns(self, step: Tensor) -> Tensor:
         """(...,): by how much links turn at most in steps (..., J), see `turns`."""
-        found = turns(self.robot._chains_on(step.device), step.reshape(-1, step.shape[-1]))
+        found = turns(self.robot._chains_on(step.device), step.reshape(math.prod(step.shape[:-1]), step.shape[-1]))
         return found.view(step.shape[:-1])
 
     def _decide(self, steps: _Steps, met: _Met, found: Certificate, first: _First) -> _Steps:

@@ -358,9 +358,9 @@ class Robot:
         if q.dim() != 2 or len(q) < 2:
             raise ValueError(f"q: expected shape (T, {self.joint_count}) with T >= 2, got {tuple(q.shape)}")
         arguments.refuse_gradient(q, "q")
-        largest = self._magnitudes(q).amax(dim=-1)
-        if not bool((largest <= LARGEST_VALUE).all()):
-            waypoint = int((~(largest <= LARGEST_VALUE)).long().argmax())
+        allowed = (self._magnitudes(q) <= LARGEST_VALUE).all(dim=-1)
+        if not bool(allowed.all()):
+            waypoint = int((~allowed).long().argmax())
             expected = f"joint values of at most {LARGEST_VALUE:g}"
             raise ValueError(f"q: waypoint {waypoint}: expected {expected}, got {q[waypoint].tolist()}")
         leaves = self._may_leave(q)

@@ -18,7 +18,7 @@ from pgccd.robots.kinematics import Joint, JointKind, Tree, quaternion_of
 from pgccd.robots.links import adjacent_links
 from pgccd.robots.robot import Robot, robot_of_file
 from pgccd.robots.shapes import ThickSurface
-from pgccd.robots.urdf_checks import check_urdf, keep_collisions
+from pgccd.robots.urdf_checks import check_elements, check_urdf, keep_collisions, parsed_xml, refuse_unknown
 
 _KINDS: dict[str, JointKind] = {
     "fixed": "fixed",
@@ -26,6 +26,13 @@ _KINDS: dict[str, JointKind] = {
     "continuous": "revolute",
     "prismatic": "prismatic",
 }
+# Of SRDF files: what is read, and what says nothing of pairs of links. A pair is tested or not by its spelling.
+_PAIRS = ("disable_collisions", "enable_collisions", "disable_default_collisions")
+_OTHER_OF_SRDF = (
+    *("group", "group_state", "end_effector", "virtual_joint", "passive_joint", "joint_property"),
+    *("link_sphere_approximation", "gripper", "handle", "contact", "rotor_params", "specificities"),
+    *("group_tcps", "group_opw", "kinematics_plugin_config", "contact_managers_plugin_config", "calibration_config"),
+)
 
 
 def load_urdf(
@@ -60,8 +67,9 @@ def load_urdf(
     Raises:
         FileNotFoundError: a file does not exist.
         TypeError: naming the argument.
-        ValueError: a file cannot be read, or the robot is no tree of fixed, revolute, continuous and prismatic joints;
-            naming link or joint.
+        ValueError: a file cannot be read, has macros of xacro, or unknown elements or attributes in joints and
+            collision geometry; or it is no tree of fixed, revolute, continuous and prismatic joints; naming link or
+            joint.
         ImportError: yourdfpy (extra `robots`) is not installed.
 
     Example:
@@ -115,10 +123,8 @@ def _parsed(path: Path) -> Any:
         import yourdfpy
     except ImportError as error:
         raise ImportError(f"yourdfpy reads URDF files: pip install 'pgccd[robots]' ({error})") from error
-    try:
-        root = ElementTree.parse(path).getroot()
-    except ElementTree.ParseError as error:
-        raise ValueError(f"path: {path} cannot be read as XML: {error}") from error
+    root = parsed_xml(path, "path")
+    check_elements(root, path)
     keep_collisions(root)
     check_urdf(root, path)  # yourdfpy repairs broken files silently
     try:
@@ -240,12 +246,12 @@ def _collisions(path: Path, number: Mapping[str, int]) -> tuple[set[tuple[int, i
     """The pairs of links (i, j), i < j, that an SRDF file disables, and those that it enables."""
     if not path.is_file():
         raise FileNotFoundError(f"srdf: {path}: no such file")
-    try:
-        root = ElementTree.parse(path).getroot()
-    except ElementTree.ParseError as error:
-        raise ValueError(f"srdf: {path} cannot be read as XML: {error}") from error
+    root = parsed_xml(path, "srdf")
+    if root.tag != "robot":
+        raise ValueError(f"srdf: {path} is no SRDF file: expected an element robot, got {root.tag}")
     if root.find("link") is not None:
         raise ValueError(f"srdf: {path} is a URDF file: it has links of its own")
+    refuse_unknown(root, (*_PAIRS, *_OTHER_OF_SRDF), f"srdf: {path}")
 
     def links_of(element: ElementTree.Element, *names: str) -> list[int]:
         links = [element.get(name) or "" for name in names]

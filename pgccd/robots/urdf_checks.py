@@ -1,9 +1,13 @@
-"""What a URDF file must say of its links and joints: readers take fewer numbers, or more, without a word."""
+"""What a URDF file must say of its links and joints: without a word, readers take fewer numbers, or more, and leave out
+what they do not know.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -17,10 +21,32 @@ _SHAPES: dict[str, _Numbers] = {
     "sphere": [(".", "radius", (1,), False)],
     "mesh": [(".", "scale", (0, 1, 3), True)],
 }
-_KEPT = {
-    "robot": ("link", "joint"),
-    "link": ("collision",),
-    "joint": ("origin", "parent", "child", "axis", "limit", "mimic"),
+_LINK = ("collision",)
+_JOINT_PARTS = ("origin", "parent", "child", "axis", "limit", "mimic")
+_COLLISION = ("origin", "geometry")
+# Elements that are left out: of looks, forces and other programs. Others than these may be misspelt geometry.
+_OTHER_OF_ROBOT = ("frame", "gazebo", "material", "mujoco", "ros2_control", "sensor", "transmission")
+_OTHER_OF_LINK = (
+    *("visual", "inertial", "audio_source", "collision_checking", "contact", "gazebo", "gravity", "kinematic"),
+    *("self_collision_checking", "self_filter", "sensor", "surface"),
+)
+_OTHER_OF_JOINT = ("calibration", "dynamics", "gazebo", "joint_properties", "safety_controller", "sensor")
+_OTHER_OF_COLLISION = ("gazebo", "material", "max_contacts", "surface", "verbose")
+# All attributes of the elements that are read. Those of limits that say nothing of the range come from real files.
+_ATTRIBUTES: dict[str, tuple[str, ...]] = {
+    "origin": ("xyz", "rpy"),
+    "parent": ("link",),
+    "child": ("link",),
+    "axis": ("xyz", "rpy"),
+    "limit": (
+        *("lower", "upper", "effort", "velocity", "acceleration", "deceleration", "jerk"),
+        *("command_effort", "current", "gear_velocity", "twist"),
+    ),
+    "mimic": ("joint", "multiplier", "offset"),
+    "box": ("size",),
+    "cylinder": ("radius", "length"),
+    "sphere": ("radius",),
+    "mesh": ("filename", "scale"),
 }
 _JOINT: _Numbers = [
     *_PLACE,
@@ -32,9 +58,101 @@ _JOINT: _Numbers = [
 ]
 
 
+def parsed_xml(path: Path, argument: str) -> Element:
+    """The root of an XML file of which no element is a macro.
+
+    Raises:
+        ValueError: naming the argument.
+    """
+    data = path.read_bytes()
+    try:
+        root = ElementTree.fromstring(data)
+    except ElementTree.ParseError as error:
+        line, column = error.position
+        # A parser meets the prefix before it meets its meaning, if it has one.
+        if data.splitlines()[line - 1 : line] and data.splitlines()[line - 1][column:].startswith(b"<xacro:"):
+            raise _macros(path, argument, f"line {line}") from error
+        raise ValueError(f"{argument}: {path} cannot be read as XML: {error}") from error
+    for element in root.iter():
+        space, _, name = element.tag.rpartition("}")
+        if "xacro" in space:
+            raise _macros(path, argument, f"xacro:{name}")
+    return root
+
+
+def _macros(path: Path, argument: str, where: str) -> ValueError:
+    return ValueError(
+        f"{argument}: {path} has macros that are not expanded ({where}): run xacro, and load what it writes"
+    )
+
+
+def refuse_unknown(element: Element, known: Iterable[str], where: str) -> None:
+    """Raises ValueError if an element has another one within it that is not known and has no namespace.
+
+    Elements with a namespace are those of other programs.
+    """
+    for part in element:
+        if part.tag not in known and not part.tag.startswith("{"):
+            expected = f"one of {', '.join(known)}" if known else "nothing within it"
+            raise ValueError(
+                f"{where}: unknown element {part.tag}: expected {expected}; those of other programs have a namespace"
+            )
+
+
+def check_elements(root: Element, path: Path) -> None:
+    """Checks that all elements and attributes around joints and collision geometry are known.
+
+    Raises:
+        ValueError: naming link or joint and element.
+    """
+    if root.tag != "robot":
+        raise ValueError(f"path: {path} is no URDF file: expected an element robot, got {root.tag}")
+    refuse_unknown(root, ("link", "joint", *_OTHER_OF_ROBOT), f"path: {path}")
+    for joint in root.findall("joint"):
+        where = f"path: {path}: joint {joint.get('name')!r}"
+        refuse_unknown(joint, (*_JOINT_PARTS, *_OTHER_OF_JOINT), where)
+        _check_parts(joint, _JOINT_PARTS, where)
+    for link in root.findall("link"):
+        where = f"path: {path}: link {link.get('name')!r}"
+        # Exporters write an origin that moves nothing.
+        refuse_unknown(
+            link, (*_LINK, *_OTHER_OF_LINK, *(["origin"] if _is_at_rest(link.find("origin")) else [])), where
+        )
+        for collision in link.findall("collision"):
+            refuse_unknown(collision, (*_COLLISION, *_OTHER_OF_COLLISION), where)
+            _check_parts(collision, _COLLISION, where)
+            for geometry in collision.findall("geometry"):
+                _check_parts(geometry, tuple(_SHAPES), where)
+
+
+def _is_at_rest(origin: Element | None) -> bool:
+    try:
+        return origin is not None and not any(float(word) for value in origin.attrib.values() for word in value.split())
+    except ValueError:
+        return False
+
+
+def _check_parts(element: Element, names: Sequence[str], where: str) -> None:
+    """Of these parts one, or equal ones, as readers take the first one; with known attributes and nothing within."""
+    parts = [part for part in element if part.tag in names]
+    for name, count in Counter(part.tag for part in parts).items():
+        kinds = {ElementTree.tostring(part).strip() for part in parts if part.tag == name}
+        if len(kinds) > 1:
+            raise ValueError(f"{where}: expected one element {name}, got {count}")
+    for part in parts:
+        if part.tag == "geometry":
+            continue
+        refuse_unknown(part, (), f"{where}: {part.tag}")
+        known = _ATTRIBUTES[part.tag]
+        for attribute in part.attrib:
+            if attribute not in known and not attribute.startswith("{"):
+                expected = f"one of {', '.join(known)}"
+                raise ValueError(f"{where}: {part.tag}: unknown attribute {attribute}: expected {expected}")
+
+
 def keep_collisions(root: Element) -> None:
     """Removes all but links with their collision geometry, and joints: looks and masses may be wrong."""
-    for kind, parts in _KEPT.items():
+    for kind, parts in (("robot", ("link", "joint")), ("link", _LINK), ("joint", _JOINT_PARTS)):
         for element in [root] if kind == "robot" else root.findall(kind):
             for part in list(element):
                 if part.tag not in parts:
@@ -47,8 +165,6 @@ def check_urdf(root: Element, path: Path) -> None:
     Raises:
         ValueError: naming link or joint and element.
     """
-    if root.tag != "robot":
-        raise ValueError(f"path: {path} is no URDF file: expected an element robot, got {root.tag}")
     if not root.get("name"):
         raise ValueError(f"path: {path}: the element robot has no name")
     for kind in ("link", "joint"):

@@ -23,8 +23,8 @@ class PyBullet:
 
     Shapes of one multibody are not tested against each other, as PyBullet does by default; its other filters are not
     looked at. Shapes of bases without mass and links are static. Meshes of files, which PyBullet replaces by their
-    hulls, are taken as they are. Both, and hulls of points, are thickened by their collision margin, as PyBullet does:
-    by 0.001 at least.
+    hulls, are taken as they are, in metres. Both, and hulls of points, are thickened by their collision margin, as
+    PyBullet does: by 0.001 at least.
 
     Args:
         client: number of the physics server, as `pybullet.connect` returns it.
@@ -133,7 +133,7 @@ def _surface(
     elif points:
         return _hull(np.array(points)).thickened(thickness)  # placed already
     elif kind == bullet.GEOM_MESH and points is None:
-        mesh = Mesh.load(file.decode())
+        mesh = Mesh.load(file.decode(), unit="m")
         made = ThickSurface(mesh.vertices.numpy(), mesh.faces.long().numpy(), thickness).scaled(np.array(size))
     else:
         raise ValueError(f"expected a box, sphere, capsule, cylinder, plane or mesh file, got PyBullet's kind {kind}")

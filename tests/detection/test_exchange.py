@@ -168,6 +168,24 @@ def test_wrong_states_are_named() -> None:
     for name, value in [("name", 3), ("welded_vertices", None), ("dropped_faces", "x"), ("source_face", [1, 2])]:
         with pytest.raises(TypeError, match=f"^{name}: expected"):
             pgccd.Mesh.from_state_dict(mesh | {name: value})
+    for name in ("origin", "centre", "centre_offset"):
+        for wrong in ("centroid", None, [0.0, 1.0], [0.0, 1.0, float("nan")]):
+            broken = {"meshes": [mesh | {name: wrong}, *state["meshes"][1:]]}
+            with pytest.raises((TypeError, ValueError), match=rf"^{name}: expected a point \(3 numbers\), got "):
+                pgccd.Scene.from_state_dict(state | broken)
+    whole = hits.state_dict()
+    for change, message in [
+        (None, "stats: expected a dictionary"),
+        ({name: value for name, value in whole["stats"].items() if name != "pcs"}, "stats: has no entry 'pcs'"),
+        (whole["stats"] | {"speed": 1}, "stats: expected entries .*, got 'speed'"),
+        (whole["stats"] | {"pcs": "many"}, r"stats\['pcs'\]: expected a number >= 0, got 'many'"),
+        (whole["stats"] | {"contacts": -1}, r"stats\['contacts'\]: expected a number >= 0, got -1"),
+        (whole["stats"] | {"broad_phase": 3}, r"stats\['broad_phase'\]: expected a str, got 3"),
+        (whole["stats"] | {"seconds": 3}, r"stats\['seconds'\]: expected a dictionary, got 3"),
+        (whole["stats"] | {"seconds": {"broad": "x"}}, r"stats\['seconds'\]\['broad'\]: expected a number, got 'x'"),
+    ]:
+        with pytest.raises((TypeError, ValueError), match=f"^{message}"):
+            pgccd.Contacts.from_state_dict(whole | {"stats": change})
 
 
 def test_excluded_pairs_that_are_no_dense_values() -> None:

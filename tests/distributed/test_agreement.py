@@ -164,7 +164,21 @@ def test_functions_are_compared_by_their_code() -> None:
         times(0.25),
         lambda bodies, by=0.5: bodies * by,
         lambda bodies, by=0.25: bodies * by,
+        lambda bodies, *, by=0.5: bodies * by,
+        lambda bodies, *, by=0.25: bodies * by,
+        lambda bodies, *, by=scale: by(bodies, 2.0),
+        lambda bodies, *, by=max: by(bodies, 2.0),
+        lambda bodies, by={"x": 1.0}: bodies * by["x"],  # noqa: B006
+        lambda bodies, by={"x": 2.0}: bodies * by["x"],  # noqa: B006
         *(function_with({"factor": factor}) for factor in (1.0, 2.0, True, (1, 2), (1, 3))),
+        *(
+            function_with({"factor": factor})
+            for factor in ([1, 2], [1, 3], {"x": 1.0}, {"x": 2.0}, {"y": 1.0}, {1: 1.0})
+        ),
+        *(function_with({"factor": {"x": (within, {"y": within})}}) for within in (1.0, 2.0)),
+        *(function_with({"factor": {"x": helper}}) for helper in (times(1), times(2))),
+        functools.partial(scale, by={"x": 1.0}),
+        functools.partial(scale, by={"x": 2.0}),
         *(function_with({"factor": 1.0, "helper": helper}) for helper in (times(1), times(2))),
     ]
     assert len({code.code_of(function).partition(" ")[2] for function in different}) == len(different)
@@ -175,9 +189,15 @@ def test_functions_are_compared_by_their_code() -> None:
         ({"factor": torch.zeros(1)}, {"factor": torch.ones(1)}),
         ({"factor": "cuda:0"}, {"factor": "cuda:1"}),
         ({"factor": 1.0, "unused": 1.0}, {"factor": 1.0, "unused": 2.0}),
+        ({"factor": {"x": 1.0, "y": 2.0}}, {"factor": {"y": 2.0, "x": 1.0}}),
+        ({"factor": {"x": torch.zeros(1), "y": "a"}}, {"factor": {"x": torch.ones(1), "y": "b"}}),
+        ({"factor": {torch.device("cuda", 0): 1.0}}, {"factor": {torch.device("cuda", 1): 2.0}}),
     ]:
         assert code.code_of(function_with(one)) == code.code_of(function_with(other))
     assert code.code_of(Response(2.0)) == code.code_of(Response(1.0))
+    within_itself: dict[str, Any] = {"x": 1.0}
+    within_itself["self"] = within_itself
+    assert code.code_of(function_with({"factor": within_itself}))
     # In another process, where sets of strings have another order.
     program = "import sys; sys.path.insert(0, 'tests'); from pgccd.distributed.launch import code; "
     program += "f = lambda bodies: bodies in {'a', 'b', 'c', 'd', 'e'}; print(code.code_of(f))"

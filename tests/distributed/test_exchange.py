@@ -147,6 +147,9 @@ def reduce_values(comm: Comm) -> None:
     ]
     rows = torch.stack([torch.arange(comm.size), torch.full((comm.size,), -comm.rank)], dim=1)
     assert comm.exchange_counts(rows).tolist() == [[comm.rank, -rank] for rank in range(comm.size)]
+    # Of a rank without neighbours.
+    for shape in ((0,), (0, 2)):
+        assert comm.exchange_counts(torch.zeros(shape, dtype=torch.int64), []).shape == shape
     comm.barrier()
 
 

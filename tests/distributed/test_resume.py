@@ -195,6 +195,45 @@ def test_planes_that_were_planted(ranks: World, by_three: Path, tmp_path: Path, 
         assert re.search(expected, said) and str(tmp_path) in said and len(said.splitlines()) == 1
 
 
+#: By kind of a partition: changes of its header, and the expected errors.
+WRONG_HEADERS: list[tuple[str, Any, str]] = [
+    *((kind, {"ranks": 2}, "ranks: 2, but there are 3 files, one per rank") for kind in PARTITIONS),
+    *((kind, {"ranks": 2**60}, f"ranks: {2**60}, but there are 3 files") for kind in PARTITIONS),
+    *((kind, {"ranks": wrong}, "expected numbers >= 0") for kind in PARTITIONS for wrong in (-3, 3.0, True, None)),
+    ("bisection", {"kind": "voronoi"}, "kind: 'voronoi'"),
+    ("cells", {"subdomains": [2, 1, 1]}, r"subdomains, cells: \[2, 1, 1\] of \[4, 4, 1\] for 3 ranks"),
+    ("cells", {"subdomains": [3, 1]}, "subdomains, cells"),
+    ("cells", {"cells": [2**20, 2**20, 2**20]}, r"\d+ bytes of cells, more than its table has"),
+    ("cells", {"cells": [-4, -4, 1]}, "expected numbers >= 0"),
+    ("cells", {"cells": None}, "not iterable"),
+    ("bisection", [3], "list indices"),
+]
+
+
+def test_partition_headers_that_were_planted(ranks: World, tmp_path: Path) -> None:
+    """With valid hashes, read by as many ranks and by others, for which the balance does not count."""
+    for kind in PARTITIONS:
+        ranks.run(3, go_on, str(tmp_path / kind), kind)
+    for number, (kind, change, expected) in enumerate(WRONG_HEADERS):
+        folder = tmp_path / str(number)
+        shutil.copytree(tmp_path / kind, folder)
+
+        def plant_change(index: dict[str, Any], change: Any = change) -> None:
+            header = index["header"]
+            header["partition"] = header["partition"] | change if isinstance(change, dict) else change
+
+        plant(folder, plant_change)
+        for size in (3, 2):
+            for said in ranks.run(size, load, str(folder), kind):
+                assert re.search(f"index.json is not .*: its partition: .*{expected}", said), (change, said)
+                assert str(folder) in said and len(said.splitlines()) == 1
+    for kind in PARTITIONS:
+        shutil.copytree(tmp_path / kind, tmp_path / "without" / kind)
+        plant(tmp_path / "without" / kind, lambda index: index["header"]["partition"].pop("ranks"))
+        for said in ranks.run(2, load, str(tmp_path / "without" / kind), kind):
+            assert "its partition: no 'ranks'" in said
+
+
 def see(comm: Comm, folder: str) -> str:
     """The error of a rank with a separate folder."""
     try:

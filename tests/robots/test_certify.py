@@ -408,3 +408,18 @@ def test_a_thousand_paths_of_64_waypoints(tmp_path: Path, device: torch.device) 
     assert counts[Verdict.FREE] > 300 and counts[Verdict.COLLISION] > 10 and counts[Verdict.INVALID] == 0
     for b in range(0, 1000, 50):
         same(robot.certify(q[b : b + 1], obstacles), found, b)
+
+
+def test_robots_without_joints(tmp_path: Path) -> None:
+    """A path of theirs is a rest: there are no numbers to ask for."""
+    pytest.importorskip("yourdfpy")
+    path = tmp_path / "block.urdf"
+    box = '<collision><geometry><box size="1 1 1"/></geometry></collision>'
+    path.write_text(f'<robot name="block"><link name="a">{box}</link></robot>')
+    robot = pgccd.robots.load_urdf(path)
+    obstacles = pgccd.robots.Obstacles([pgccd.Mesh.box([1.0, 1.0, 1.0])], torch.tensor([[3.0, 0.0, 0.0]]))
+    for environments in (0, 2):
+        found = robot.certify(torch.zeros(environments, 3, 0), obstacles)
+        assert found.verdict.tolist() == [Verdict.FREE] * environments
+    trajectory = robot.trajectory(torch.zeros(3, 0), obstacles)
+    assert not len(pgccd.detect(robot.scene(obstacles), trajectory))

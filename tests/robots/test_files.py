@@ -299,6 +299,116 @@ def test_numbers_and_names_of_urdf_files(tmp_path: Path, old: str, new: str, mes
         pgccd.robots.load_urdf(path)
 
 
+SPELT = (
+    '<robot name="r" xmlns:drake="http://drake.mit.edu"><link name="a"><collision><origin xyz="0 0 0"/><geometry>'
+    '<box size="1 2 3"/></geometry></collision></link><link name="b"/><joint name="j" type="revolute">'
+    '<parent link="a"/><child link="b"/><origin rpy="0 0 0"/><axis xyz="0 0 1"/><limit lower="-1" upper="1"/></joint>'
+    '<joint name="k" type="revolute"><parent link="b"/><child link="c"/><mimic joint="j"/></joint><link name="c"/>'
+    "</robot>"
+)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('<link name="b"/>', '<link name="b"/><lnk name="b"/>', "unknown element lnk: expected one of link, joint,"),
+        ("</robot>", '<loop_joint name="l"/></robot>', "unknown element loop_joint"),
+        ("</robot>", '<deformable name="l"/></robot>', "unknown element deformable"),
+        ("</link>", "<colision/></link>", "link 'a': unknown element colision: expected one of collision,"),
+        ("</link>", '<origin xyz="0 0 1"/></link>', "link 'a': unknown element origin"),
+        ("mimic", "mimick", "joint 'k': unknown element mimick: expected one of origin, parent, child, axis,"),
+        ("<axis ", "<axes ", "joint 'j': unknown element axes"),
+        ('<origin xyz="0 0 0"/>', '<orign xyz="0 0 1"/>', "link 'a': unknown element orign: expected one of origin, "),
+        ("</collision>", "<geomtry><box/></geomtry></collision>", "link 'a': unknown element geomtry"),
+        (
+            'xyz="0 0 0"/>',
+            "><xyz>0 0 1</xyz></origin>",
+            "link 'a': origin: unknown element xyz: expected nothing within",
+        ),
+        ('xyz="0 0 0"', 'xzy="0 0 1"', "link 'a': origin: unknown attribute xzy: expected one of xyz, rpy"),
+        ('rpy="0 0 0"', 'quat_xyzw="0 0 1 0"', "joint 'j': origin: unknown attribute quat_xyzw"),
+        ('axis xyz="0 0 1"', 'axis xzy="0 0 1"', "joint 'j': axis: unknown attribute xzy"),
+        ('lower="-1"', 'lowr="-1"', "joint 'j': limit: unknown attribute lowr: expected one of lower, upper, "),
+        ('mimic joint="j"', 'mimic joint="j" factor="2"', "joint 'k': mimic: unknown attribute factor"),
+        ('<box size="1 2 3"/>', '<mesh filename="a" scal="2"/>', "link 'a': mesh: unknown attribute scal"),
+        ("</collision>", '<origin xyz="0 0 1"/></collision>', "link 'a': expected one element origin, got 2"),
+        (
+            "<collision>",
+            '<collision><geometry><box size="9 9 9"/></geometry>',
+            "link 'a': expected one element geometry",
+        ),
+        ("</joint>", '<axis xyz="1 0 0"/></joint>', "joint 'j': expected one element axis, got 2"),
+        ("<box ", "<drake:capsule ", "link 'a': expected a collision geometry of one of box, .*capsule"),
+    ],
+)
+def test_what_is_misspelt_in_urdf_files(tmp_path: Path, old: str, new: str, message: str) -> None:
+    """What readers leave out without a word, and what moves when they do."""
+    pytest.importorskip("yourdfpy")
+    path = tmp_path / "one.urdf"
+    path.write_text(SPELT.replace(old, new, 1))
+    with pytest.raises(ValueError, match=f"^path: .*one.urdf: {message}"):
+        pgccd.robots.load_urdf(path)
+
+
+def test_what_urdf_files_may_have_besides(tmp_path: Path) -> None:
+    """As files of public packages have it: without a meaning for geometry and motion, or twice the same."""
+    pytest.importorskip("yourdfpy")
+    path = tmp_path / "one.urdf"
+    path.write_text(SPELT)
+    expected = pgccd.robots.load_urdf(path)
+    for old, new in (
+        ("</robot>", '<gazebo/><material name="m"/><transmission/><ros2_control/><sensor/><mujoco/><!-- c --></robot>'),
+        ("</robot>", '<drake:collision_filter_group name="g"/><!-- <xacro:if value="1"/> --></robot>'),
+        ("</link>", "<visual><colision/></visual><inertial/><contact/><self_filter/></link>"),
+        ("</link>", '<origin xyz="0 0 0" rpy="0 -0 0"/></link>'),
+        ("</collision>", "<drake:proximity_properties/><verbose/><material/><surface/></collision>"),
+        ("</joint>", '<calibration/><dynamics/><safety_controller/><axis xyz="0 0 1"/></joint>'),
+    ):
+        assert old in SPELT
+        path.write_text(SPELT.replace(old, new, 1))
+        robot = pgccd.robots.load_urdf(path)
+        assert robot.joint_names == expected.joint_names
+        assert torch.equal(robot.meshes[0].vertices, expected.meshes[0].vertices)
+
+
+@pytest.mark.parametrize("declared", ["", ' xmlns:xacro="http://www.ros.org/wiki/xacro"'])
+def test_macros_are_not_expanded(tmp_path: Path, declared: str) -> None:
+    pytest.importorskip("yourdfpy")
+    path, srdf = tmp_path / "one.urdf", tmp_path / "one.srdf"
+    srdf.write_text(f'<robot name="r"{declared}>\n <xacro:include filename="pairs"/></robot>')
+    path.write_text(SPELT)
+    for named, load in (
+        ("path", lambda: pgccd.robots.load_urdf(srdf)),
+        ("srdf", lambda: pgccd.robots.load_urdf(path, srdf)),
+    ):
+        with pytest.raises(
+            ValueError, match=rf"^{named}: .*one.srdf has macros .* \((line 2|xacro:include)\): run xacro"
+        ):
+            load()
+
+
+def test_what_is_misspelt_in_srdf_files(tmp_path: Path) -> None:
+    pytest.importorskip("yourdfpy")
+    path, srdf = tmp_path / "one.urdf", tmp_path / "one.srdf"
+    path.write_text(SPELT)
+    for text, message in (
+        (
+            '<robot name="r"><enable_colisions link1="a" link2="b"/></robot>',
+            ": unknown element enable_colisions: expected",
+        ),
+        ('<robot name="r"><disable_collision link1="a" link2="b"/></robot>', ": unknown element disable_collision:"),
+        (
+            '<sdf><disable_collisions link1="a" link2="b"/></sdf>',
+            " is no SRDF file: expected an element robot, got sdf",
+        ),
+    ):
+        srdf.write_text(text)
+        with pytest.raises(ValueError, match=f"^srdf: .*one.srdf{message}"):
+            pgccd.robots.load_urdf(path, srdf)
+    srdf.write_text('<robot name="r"><group name="g"/><passive_joint name="j"/><end_effector/><gripper/></robot>')
+    assert pgccd.robots.load_urdf(path, srdf).joint_names == ["j"]
+
+
 def test_what_mjcf_files_cannot_be(tmp_path: Path) -> None:
     sphere = '<geom type="sphere" size="0.2"/>'
     for kind in ("free", "ball"):

@@ -296,6 +296,26 @@ def test_hulls_of_pybullet(client: tuple[Any, int]) -> None:
     assert inside.tolist() == [[1, 0]]
 
 
+@pytest.mark.parametrize(("unit", "metres"), [(None, 1.0), (0.01, 0.01), (0.0254, 0.0254)])
+def test_collada_files_of_pybullet(client: tuple[Any, int], tmp_path: Path, unit: float | None, metres: float) -> None:
+    """As PyBullet reads them: in metres, and the axis that is up stays as it is."""
+    bullet, number = client
+    trimesh = pytest.importorskip("trimesh")
+    pytest.importorskip("collada")
+    dae = trimesh.creation.box((1.0, 2.0, 3.0)).export(file_type="dae").decode()
+    asset = "<up_axis>Y_UP</up_axis>" + (f'<unit name="one" meter="{unit}"/>' if unit else "")
+    dae = re.sub("(?s)<asset>.*</asset>", f"<asset>{asset}</asset>", dae)
+    (tmp_path / "box.dae").write_text(dae)
+    mesh = '<collision><geometry><mesh filename="box.dae" scale="1 1 2"/></geometry></collision>'
+    (tmp_path / "box.urdf").write_text(f'<robot name="r"><link name="a">{mesh}</link></robot>')
+    bullet.loadURDF(str(tmp_path / "box.urdf"), useFixedBase=True, physicsClientId=number)
+    simulator = pgccd.simulators.PyBullet(number)
+    wide = np.ptp(simulator.scene.meshes.meshes[0].vertices.numpy(), axis=0)
+    np.testing.assert_allclose(wide, metres * np.array([1.0, 2.0, 6.0]), rtol=1e-6)
+    slack = slack_of_boxes(bullet, simulator)
+    assert slack.min() > -1e-6 and slack.max() < 0.002
+
+
 def test_links_and_errors_of_pybullet(client: tuple[Any, int]) -> None:
     bullet, number = client
     with pytest.raises(ValueError, match="model: it has no collision shapes"):

@@ -6,6 +6,7 @@ All transfers of bodies and contacts use `Comm`. Only `torch_comm` and `mpi_comm
 from __future__ import annotations
 
 import contextlib
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from typing import Any, Generic, Protocol, TypeVar
@@ -100,7 +101,7 @@ class Comm(ABC):
     def exchange_counts(self, counts: Tensor, peers: Sequence[int] | None = None) -> Tensor:
         """counts (peers, ...) int64, one row per peer -> the row for this rank of each; `peers` as for `exchange`."""
         once = [1] * len(counts)
-        packed = counts.reshape(len(counts), -1).contiguous().view(torch.uint8)
+        packed = counts.reshape(len(counts), math.prod(counts.shape[1:])).contiguous().view(torch.uint8)
         return self.exchange(packed, once, once, peers).wait().view(counts.dtype).view_as(counts)
 
     @abstractmethod

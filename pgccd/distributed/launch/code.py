@@ -48,8 +48,9 @@ def code_of(function: Callable[..., Any]) -> str:
     """A function's name and a digest of its code, not of its place in a file: equal on ranks that run the same.
 
     Lambdas, partial functions, methods and objects with `__call__` are covered, with the numbers and functions in their
-    closures, defaults and arguments and among the globals that they read; of globals the functions of the same package.
-    Texts, tensors and other objects are not compared, since they may differ between ranks, as devices do.
+    closures, defaults and arguments and among the globals that they read, within tuples, lists and dictionaries too; of
+    globals the functions of the same package. Texts, tensors and other objects are not compared, since they may differ
+    between ranks, as devices do.
     """
     digest = hashlib.sha256()
     _add(digest, function, set())
@@ -76,6 +77,9 @@ def _add(digest: Any, value: Any, seen: set[int]) -> None:
                 _add_used(digest, cell.cell_contents, seen)
         for each in getattr(value, "__defaults__", None) or ():
             _add_used(digest, each, seen)
+        for name, each in sorted((getattr(value, "__kwdefaults__", None) or {}).items()):
+            digest.update(f"{name}=".encode(errors="replace"))
+            _add_used(digest, each, seen)
         known, package = getattr(value, "__globals__", {}), _package(value)
         for name in sorted(_globals_of(code) & known.keys()):
             each = known[name]
@@ -94,6 +98,20 @@ def _add_used(digest: Any, value: Any, seen: set[int]) -> None:
     """Adds what a function uses, if it can be compared."""
     if _is_number(value) or (isinstance(value, tuple) and all(map(_is_number, value))):
         digest.update(f"{value!r} ".encode())
+    elif isinstance(value, (tuple, list, dict)):
+        if id(value) in seen:
+            return
+        seen.add(id(value))
+        digest.update(f"{type(value).__name__} {len(value)} ".encode())
+        if not isinstance(value, dict):
+            for each in value:
+                _add_used(digest, each, seen)
+            return
+        # Keys that are other objects, such as devices, may differ between ranks.
+        keys = [key for key in value if isinstance(key, str) or _is_number(key)]
+        for key in sorted(keys, key=repr):
+            digest.update(f"{key!r}: ".encode(errors="replace"))
+            _add_used(digest, value[key], seen)
     elif callable(value):
         _add(digest, value, seen)
 
