@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import json
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -75,6 +77,7 @@ def test_every_column_of_a_motion_arrives(tmp_path: Path) -> None:
         ({**ENDS, "position_t1": 1j * X[1]}, "position_t1: expected numbers, got complex128"),
         ({**ENDS, "position_t1": X[1] > 0}, "position_t1: expected numbers, got bool"),
         ({**ENDS, "position_t1": X[1, :1]}, "position"),
+        ({**ENDS, "positon_t1": X[1]}, "has an unknown key 'positon_t1', perhaps for 'position_t1'; known are"),
     ],
 )
 def test_motions_that_are_not_one(columns: dict[str, Any], message: str, tmp_path: Path) -> None:
@@ -135,3 +138,19 @@ def test_only_frames_are_iterated(tmp_path: Path) -> None:
         assert files.frame_columns(path) is None
         with pytest.raises(ValueError, match=r"rollout.npz: expected position \(T, N, 3\) and orientation"):
             files.iterate_frames(path)
+
+
+@pytest.mark.parametrize("kept", [0, 48, 100, 143])
+def test_frames_that_are_not_there(kept: int, tmp_path: Path) -> None:
+    """An array that declares more rows than it holds, in an archive that is whole."""
+    whole = io.BytesIO()
+    np.save(whole, X)
+    content = whole.getvalue()
+    with zipfile.ZipFile(tmp_path / "rollout.npz", "w") as archive:
+        archive.writestr("position.npy", content[: len(content) - X.nbytes + kept])
+    frames = files.iterate_frames(tmp_path / "rollout.npz")
+    for frame in X[: kept // 48]:
+        found = next(frames)
+        assert isinstance(found, torch.Tensor) and found.tolist() == frame.tolist()
+    with pytest.raises(ValueError, match=f"position: expected 3 frames, but the file ends in frame {kept // 48}"):
+        next(frames)

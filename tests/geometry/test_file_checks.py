@@ -158,6 +158,8 @@ BROKEN: dict[str, tuple[bytes | str, str]] = {
     "fewer.stl": (stl_binary(2), "declares 2 triangles of 50 bytes, but 200 bytes follow"),
     "header.stl": (stl_binary()[:84], "declares 4 triangles of 50 bytes, but 0 bytes follow"),
     "text.stl": (stl_text()[:-120], "3 of them ended.* the file is truncated"),
+    "upper.stl": (stl_text().upper()[:-120], "3 of them ended.* the file is truncated"),
+    "solid.stl": (stl_text().rsplit("\n", 2)[0], "4 of them ended, and 0 of 1 solids: the file is truncated"),
     "second.stl": (stl_text() + stl_text("other")[:-120], "1 of 2 solids: the file is truncated"),
     "corner.stl": (stl_text().replace("  vertex 1.0 1.0 0.0\n", "", 1), "4 facets with 11 vertices, 4 of them ended"),
     "facet.stl": (stl_text().replace("endfacet\n", "", 1), "4 facets with 12 vertices, 3 of them ended"),
@@ -284,6 +286,12 @@ def test_triangles_of_gltf_files_are_counted(tmp_path: Path, suffix: str) -> Non
     whole = json.loads(path.read_text())
     second = copy.deepcopy(whole) | {"scenes": [{"nodes": []}, *whole["scenes"]], "scene": 1}
     path.write_text(json.dumps(second))
+    assert declared_triangles(path) == len(pgccd.Mesh.load(path).faces) == 104
+    nested = copy.deepcopy(whole)
+    for scene in nested["scenes"]:
+        nested["nodes"].append({"children": scene["nodes"]})
+        scene["nodes"] = [len(nested["nodes"]) - 1]
+    path.write_text(json.dumps(nested))
     assert declared_triangles(path) == len(pgccd.Mesh.load(path).faces) == 104
     lost = copy.deepcopy(whole)
     next(node for node in lost["nodes"] if "mesh" in node)["mesh"] = 9

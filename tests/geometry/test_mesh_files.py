@@ -116,6 +116,11 @@ def test_the_vertex_that_is_not_finite_is_named_by_its_row() -> None:
         pgccd.Mesh.from_trimesh(mesh)
 
 
+def corners_of(mesh: pgccd.Mesh) -> np.ndarray:
+    """(F, 9): the corners of each face."""
+    return (mesh.vertices + mesh.origin)[mesh.faces.long()].flatten(1).numpy()
+
+
 def test_meshes_of_a_scene_one_by_one(tmp_path: Path) -> None:
     trimesh = pytest.importorskip("trimesh")
     place = trimesh.transformations.rotation_matrix(0.7, [1, 2, 3]) + 5.0 * np.eye(4, k=3)
@@ -131,6 +136,10 @@ def test_meshes_of_a_scene_one_by_one(tmp_path: Path) -> None:
     assert np.abs(np.sort(found, axis=0) - np.sort(corners, axis=0)).max() < 1e-6
     joined = pgccd.Mesh.load(tmp_path / "scene.glb")
     assert len(joined.faces) == 92 and "'crate'" in repr(crate)
+    # With the triangles of all of them.
+    every = sorted(np.concatenate([corners_of(mesh) for mesh in meshes.values()]).tolist())
+    assert sorted(corners_of(joined).tolist()) == every
+    assert sorted(corners_of(pgccd.Mesh.load(tmp_path / "scene.glb", weld=False)).tolist()) == every
 
     text = "o left\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\no right\nv 5 0 0\nv 6 0 0\nv 5 1 0\nf 4 5 6\n"
     (tmp_path / "two.obj").write_text(text)

@@ -187,7 +187,7 @@ MUTANTS = [
         CHECKS,
         "data = data.removeprefix(codecs.BOM_UTF8).lower()",
         "data = data.removeprefix(codecs.BOM_UTF8)",
-        ON_FORMATS,
+        ON_CHECKS,
     ),
     _mutant(
         "stl-mark-before-words",
