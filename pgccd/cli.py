@@ -227,7 +227,9 @@ def _simulate(options: argparse.Namespace) -> int:
     try:
         comm = command.connect_ranks(options)
     except ValueError as error:
-        raise ArgumentError("", error) from error
+        text = str(error)
+        argument = "--device" if text.startswith("device: ") else ""
+        raise ArgumentError(argument, text.removeprefix("device: ")) from error
     with command.stopping(comm):
         try:
             device = together(comm, lambda: _device(options.device))
@@ -342,11 +344,14 @@ def _load_meshes(files: Sequence[str] | None, argument: str, origin: Origin = (0
 
 def _device(name: str) -> torch.device:
     try:
-        device = distributed.choose_device(name)
-    except ValueError as error:
-        raise ArgumentError("--device", str(error).removeprefix("device: ")) from error
+        device = torch.device(name)
+    except RuntimeError as error:
+        raise ArgumentError("--device", f"expected cpu, cuda or cuda:INDEX, got {name!r}") from error
+    device = distributed.choose_device(device)
     if device.type not in ("cpu", "cuda"):
         raise ArgumentError("--device", f"expected cpu, cuda or cuda:INDEX, got {name!r}")
+    if device.type == "cuda" and not 0 <= (device.index or 0) < torch.cuda.device_count():
+        raise ArgumentError("--device", f"{name} is not available: torch sees {torch.cuda.device_count()} CUDA devices")
     return device
 
 

@@ -43,11 +43,8 @@ def choose_device(device: str | torch.device, placement: Placement | None = None
     Args:
         device: "cpu", "cuda" or a device of torch.
         placement: of the ranks on machines; default: from the launcher's environment.
-
-    Raises:
-        TypeError, ValueError: device: it is none, or not available.
     """
-    chosen = arguments.device(device)
+    chosen = torch.device(device)
     placement = placement or find_placement()
     if chosen.type == "cuda" and chosen.index is None and placement.size > 1:
         return torch.device("cuda", placement.local_rank % max(1, torch.cuda.device_count()))
@@ -84,7 +81,6 @@ def connect(
         >>> with pgccd.distributed.connect() as comm:
         ...     print(comm.rank, comm.size)
     """
-    arguments.device(device)
     if transport not in TRANSPORTS:
         raise ValueError(f"transport: expected one of {list(TRANSPORTS)}, got {transport!r}")
     if not 0.0 < timeout < 1e9:
@@ -93,6 +89,7 @@ def connect(
         return _connect_group(group or dist.group.WORLD, device, transport, timeout, settings or {})
     placement = find_placement()
     if placement.size == 1:
+        arguments.device(device)
         return Alone()
     try:
         device = choose_device(device, placement)
