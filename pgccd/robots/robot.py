@@ -374,7 +374,7 @@ class Robot:
             expected = f"turns of at most {LONGEST_TURN:g} rad, all joints added"
             raise ValueError(f"q: segment {segment}: expected {expected}, got {float(turn[segment]):.3g}")
         parts = max(1, math.ceil(float(turn.max()) / MOST_TURN))
-        s = torch.arange(parts, dtype=torch.float64, device=q.device)[:, None] / parts
+        s = q.new_tensor([k / parts for k in range(parts)])[:, None]  # torch divides otherwise on a GPU
         q = torch.cat([(q[:-1, None] + s * (q[1:] - q[:-1])[:, None]).flatten(0, 1), q[-1:]])
         poses = self._tree.forward(q)
         before, after = (

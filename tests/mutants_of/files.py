@@ -216,7 +216,7 @@ MUTANTS = [
     ),
     _mutant("obj-two-corners", CHECKS, "if len(rows) < 3:", "if len(rows) < 2:", ON_CHECKS),
     _mutant("off-short-vertices", CHECKS, "sum(len(row) >= 3 for row in vertices)", "len(vertices)", ON_CHECKS),
-    _mutant("off-short-faces", CHECKS, "if len(row) > int(row[0])]", "if row]", ON_CHECKS),
+    _mutant("off-short-faces", CHECKS, "if len(line.words) <= row[0]:", "if False:", ON_CHECKS),
     _mutant("off-longer", CHECKS, "if len(lines) > 1 + vertex_count + face_count:", "if False:", ON_CHECKS),
     _mutant("ply-big-endian", CHECKS, '">" if "big" in kind else "<"', '"<"', ON_CHECKS),
     _mutant("ply-longer", CHECKS, "if next(lines, None) is not None:", "if False:", ON_CHECKS),
