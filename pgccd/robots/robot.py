@@ -338,7 +338,7 @@ class Robot:
         arcs while joints move at constant rates. A contact of it may be due to these margins; `certify` makes them as
         small as needed.
 
-        If a link turns by more than a radian between two waypoints, all joints added, every segment is split into the
+        If a link turns by more than 0.99 rad between two waypoints, all joints added, every segment is split into the
         same number of equal parts: times along the whole path stay what they are, and a segment of `q` becomes
         `segment_count / (T - 1)` segments.
 
@@ -373,14 +373,15 @@ class Robot:
             segment = int((~(turn <= LONGEST_TURN)).long().argmax())
             expected = f"turns of at most {LONGEST_TURN:g} rad, all joints added"
             raise ValueError(f"q: segment {segment}: expected {expected}, got {float(turn[segment]):.3g}")
-        parts = max(1, math.ceil(float(turn.max()) / MOST_TURN))
+        parts = max(1, math.ceil(float(turn.max()) / (0.99 * MOST_TURN)))  # less, for the rounding of what is between
+        size = torch.maximum(q[:-1].abs(), q[1:].abs())  # rounding of what is between grows with both ends
         s = q.new_tensor([k / parts for k in range(parts)])[:, None]  # torch divides otherwise on a GPU
         q = torch.cat([(q[:-1, None] + s * (q[1:] - q[:-1])[:, None]).flatten(0, 1), q[-1:]])
         poses = self._tree.forward(q)
         before, after = (
             Poses(*(column[:, rows] for column in vars(poses).values())) for rows in (slice(None, -1), slice(1, None))
         )
-        margin = self._stray(before, after, torch.maximum(q[:-1].abs(), q[1:].abs()))
+        margin = self._stray(before, after, size.repeat_interleave(parts, dim=0))
         x, r = self._of_bodies(poses)
         if obstacles is not None:
             if obstacles.environments is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import torch
@@ -41,8 +42,8 @@ class MotionValidator:
         return bool(self._certify(start, goal).free[0])
 
     def last_valid(self, start: Tensor | Sequence[float], goal: Tensor | Sequence[float]) -> float:
-        """The part of the motion, in [0, 1], before which it is certainly free of contact, as OMPL asks: 1 if all of it
-        is, 0 if the start is not.
+        """The part of the motion, in [0, 1], before which it is certainly free of contact, as OMPL asks: 1 only if all
+        of it is, the goal included; 0 if the start is not.
 
         Args:
             start, goal: (J,) configurations.
@@ -55,7 +56,9 @@ class MotionValidator:
             >>> is_valid.last_valid([0.0, 0.0], [0.3, 0.1])
             1.0
         """
-        return min(1.0, float(self._certify(start, goal).time[0]))
+        found = self._certify(start, goal)
+        # A contact at the goal leaves less than the whole motion, however late it is.
+        return 1.0 if bool(found.free[0]) else min(float(found.time[0]), math.nextafter(1.0, 0.0))
 
     def _certify(self, start: Tensor | Sequence[float], goal: Tensor | Sequence[float]) -> Certificate:
         ends = []
