@@ -28,7 +28,7 @@ SANITIZED = tests/kernels/test_rows.py tests/detection/test_search_in_parts.py t
 .PHONY: demo test docs sanitize lint bench bench-peers build wheel clean
 
 demo: $(EXTENSION)
-	$(VENV_PYTHON) -m pgccd simulate --robots 10000 --steps 20 --world random --out out/demo --overwrite
+	$(VENV_PYTHON) -m pgccd simulate --robots 10000 --steps 200 --world random --out out/demo --overwrite
 
 test: $(EXTENSION) .venv/pgccd-for-test
 	$(VENV_PYTHON) -m pytest -q $(PARALLEL)

@@ -238,6 +238,11 @@ def _of_numpy(values: np.ndarray, name: str) -> Tensor:
         raise TypeError(f"{name}: expected float32 or float64, got an array of {values.dtype}: {error}") from error
 
 
+def is_float32(values: object) -> bool:
+    """Whether the values are a tensor or an array of float32."""
+    return str(getattr(values, "dtype", "")).endswith("float32")
+
+
 def real_tensor(values: Any, name: str) -> Tensor:
     """The values, a dense float32 or float64 tensor, or an array as such a tensor, without a copy (see `as_tensor`)."""
     if not isinstance(values, Tensor):

@@ -130,7 +130,7 @@ def namespace(module: str) -> dict[str, Any]:
         names["data"] = mujoco.MjData(names["model"])
     if module == "pgccd.simulators.pybullet_frames":
         bullet = pytest.importorskip("pybullet")
-        names["client"] = bullet.connect(bullet.DIRECT)
+        names |= {"bullet": bullet, "client": bullet.connect(bullet.DIRECT)}
         bullet.createMultiBody(1.0, bullet.createCollisionShape(bullet.GEOM_SPHERE))
     if module.startswith("pgccd.distributed.world."):
         names |= two_bodies() | {"comm": distributed.Alone()}
@@ -178,11 +178,13 @@ WITH_EXAMPLES = [name for name in modules() if name not in NOT_ALONE and example
 
 
 @pytest.mark.parametrize("module", WITH_EXAMPLES)
-def test_examples_of_docstrings(module: str, folder: Path) -> None:
+def test_examples_of_docstrings(module: str, folder: Path, request: pytest.FixtureRequest) -> None:
     importlib.import_module(module)
     checker = doctest.OutputChecker()
     for test in examples_of(module):
         names = namespace(module)
+        if "client" in names:  # other tests use the default one
+            request.addfinalizer(functools.partial(names["bullet"].disconnect, names["client"]))
         for example in test.examples:
             try:
                 got = run(example, names)

@@ -50,7 +50,7 @@ def test_slow_calls_and_errors_are_differences(
 
 def test_hard_scenes_hold_what_they_say() -> None:
     whole = {"report": "all", "initial": "report"}
-    scenes = [hard_scene(seed) for seed in range(0, 20, 2)]
+    scenes = [hard_scene(seed) for seed in range(0, 24, 2)]
     assert {scene.layout for scene in scenes} == set(HARD_LAYOUTS)
     found = {}
     for scene in scenes:

@@ -20,12 +20,13 @@ from pgccd import arguments
 from pgccd.detection.checks import RELATIVE_TOLERANCE
 from pgccd.detection.gradients import corner_points
 from pgccd.detection.narrow import Kind, Status
-from pgccd.detection.sites import FACE, Sites, cross, dot, norm, reduced, unit_or_zero
+from pgccd.detection.sites import FACE, Sites, reduced
 from pgccd.detection.surface_normals import surface_normals
 from pgccd.geometry.incidence import Lists
 from pgccd.geometry.scene import Scene
 from pgccd.motion.differentiable import with_gradient_of
 from pgccd.motion.paths import RigidMotion, VertexMotion
+from pgccd.motion.vectors import cross, dot, norm, unit_or_zero
 
 if TYPE_CHECKING:
     from pgccd.detection.contacts import Contacts

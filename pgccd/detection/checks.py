@@ -9,6 +9,7 @@ from torch import Tensor
 
 from pgccd import arguments
 from pgccd.detection.bodies import MovingBodies
+from pgccd.geometry.mesh import FEW_UNITS
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
@@ -37,6 +38,31 @@ def warn_of_only_body(scene: Scene, motion: RigidMotion | VertexMotion | Traject
     elif scene.self_collision is not None:
         advice += "; self_collision applies to bodies that deform (VertexMotion)"
     warnings.warn(f"scene: it has one body, so no contact can be found: {advice}", UserWarning, stacklevel=3)
+
+
+def warn_of_rounded_positions(scene: Scene, motion: RigidMotion | VertexMotion | Trajectory) -> None:
+    """Warns that float32 has rounded the positions of a rigid body to multiples of its own size."""
+    if isinstance(motion, VertexMotion) or not motion._is_of_float32 or torch.compiler.is_compiling():
+        return
+    if isinstance(motion, Trajectory):
+        if motion.orientation is None:
+            return
+        ends = motion.position
+    else:
+        ends = torch.stack([motion.position_t0, motion.position_t1])
+    largest = ends.detach().abs().amax(dim=(0, 2)).to(torch.float32)
+    unit = (torch.nextafter(largest, torch.full_like(largest, torch.inf)) - largest).to(torch.float64)
+    radius = scene.radius
+    is_lost = (radius > 0.0) & (radius <= FEW_UNITS * unit)
+    if bool(is_lost.any()):
+        body = int(is_lost.long().argmax())
+        warnings.warn(
+            f"motion: float32 has rounded the positions of {int(is_lost.sum())} of {len(unit)} bodies: that of body "
+            f"{body}, of radius {float(radius[body]):.3g}, is a multiple of {float(unit[body]):.3g}. Give float64, or "
+            "positions relative to a point nearby",
+            UserWarning,
+            stacklevel=3,
+        )
 
 
 def check_separation(min_separation: float | Tensor) -> float:

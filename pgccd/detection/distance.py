@@ -11,7 +11,7 @@ from torch import Tensor
 from pgccd import arguments, ops
 from pgccd.detection import broad
 from pgccd.detection.bodies import MovingBodies
-from pgccd.detection.checks import RELATIVE_TOLERANCE, check_pairs, operator_tolerance
+from pgccd.detection.checks import RELATIVE_TOLERANCE, check_pairs, operator_tolerance, warn_of_rounded_positions
 from pgccd.detection.contacts import earliest_of_each
 from pgccd.detection.trajectories import in_scene, segments_as_step, time_along
 from pgccd.geometry.scene import Scene
@@ -32,7 +32,7 @@ class Distances:
             equally near within the tolerance, these are of any of them.
         points: (K, 2, 3) float64, world frame: a point of the surface of i and one of j at `time`, on the meshes, not
             their margins; nan where `upper` is inf. Not certified: rounded, as world coordinates are. Where surfaces
-            intersect, both are points near the intersection, which may be apart: `pgccd.detect` has the first contact.
+            intersect, both are the same point, up to rounding, of the intersection.
         converged: (K,) bool: whether `upper` - `lower` is at most the tolerance, or `lower` above the cutoff.
 
     Example:
@@ -112,8 +112,11 @@ def distance(
         pairs = check_pairs(pairs, scene, deforms=False)
     if isinstance(motion, Trajectory):
         motion._refuse_gradient()
-        return _along(scene, motion, limit, pairs, accuracy)
-    return _of_step(scene, motion, limit, pairs, accuracy)[0]
+        found = _along(scene, motion, limit, pairs, accuracy)
+    else:
+        found = _of_step(scene, motion, limit, pairs, accuracy)[0]
+    warn_of_rounded_positions(scene, motion)
+    return found
 
 
 def _of_step(

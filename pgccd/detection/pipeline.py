@@ -12,7 +12,7 @@ from pgccd.detection import broad, narrow
 from pgccd.detection.approach import Cause, versions_of
 from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.capacity import EXACTLY, BufferSizes, Capacity, sizes_of
-from pgccd.detection.checks import Initial, check_pairs, separation_value, warn_of_only_body
+from pgccd.detection.checks import Initial, check_pairs, separation_value, warn_of_only_body, warn_of_rounded_positions
 from pgccd.detection.contacts import CollidingPairs, Contacts, earliest_of_each
 from pgccd.detection.gradients import add_gradients
 from pgccd.detection.memory import CapacityEstimate, estimate_of, memory_limit, pairs_a_chunk
@@ -237,7 +237,9 @@ def detect(
         options: DetectOptions = {"tolerance": tolerance, "nonzero_toi": nonzero_toi, "initial": initial}
         options |= {"normals": normals, "broad_phase": broad_phase, "memory_budget": memory_budget}
         detect_step = partial(detect, min_separation=min_separation, **options)
-        return detect_trajectory(scene, motion, query, detect_step, pairs)
+        of_segments = detect_trajectory(scene, motion, query, detect_step, pairs)
+        warn_of_rounded_positions(scene, motion)
+        return of_segments
     given = scene, motion
     differentiated = motion._is_differentiated or any_differentiated(scene.margin, min_separation)
     if differentiated:
@@ -259,6 +261,8 @@ def detect(
     bodies = MovingBodies.of(scene, motion, wait=on_cpu and capacity is None and not is_one_operator)
     if scene.body_count == 1:
         warn_of_only_body(scene, motion)
+    if capacity is None:  # a captured step cannot wait for an answer
+        warn_of_rounded_positions(scene, motion)
     seconds = time.perf_counter() - start if capacity is None else 0.0
     broad.choose(bodies, broad_phase)  # raises for an unknown name
     if pairs is not None:

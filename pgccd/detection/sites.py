@@ -14,6 +14,7 @@ from pgccd.detection.narrow import Kind
 from pgccd.geometry.incidence import Incidence
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
+from pgccd.motion.vectors import cross, dot, norm
 
 # Of the kinds, by side (i, j): which features `features` counts; columns of `MeshSet.offsets`.
 VERTEX, FACE, EDGE = 0, 1, 2
@@ -22,30 +23,6 @@ _COUNTED = ((VERTEX, FACE), (FACE, VERTEX), (EDGE, EDGE), (EDGE, FACE), (FACE, E
 _ROUNDED = 2.0**-46
 # Offsets below this part of the size of what was subtracted may be rounding.
 _NOISE = 2.0**-36
-
-
-def dot(a: Tensor, b: Tensor) -> Tensor:
-    """Products of vectors (..., 3), with the same bits on every device."""
-    product = a * b
-    return product[..., 0] + product[..., 1] + product[..., 2]
-
-
-def cross(a: Tensor, b: Tensor) -> Tensor:
-    """Products of vectors (..., 3), with the same bits on every device."""
-    (a0, a1, a2), (b0, b1, b2) = a.unbind(-1), b.unbind(-1)
-    first = torch.stack([a1 * b2, a2 * b0, a0 * b1], -1)
-    return first - torch.stack([a2 * b1, a0 * b2, a1 * b0], -1)
-
-
-def norm(a: Tensor) -> Tensor:
-    """Lengths of vectors (..., 3), with the same bits on every device."""
-    return dot(a, a).sqrt()
-
-
-def unit_or_zero(a: Tensor) -> Tensor:
-    """Vectors (..., 3) divided by their lengths."""
-    length = norm(a)[..., None]
-    return torch.where(length > 0.0, a / torch.where(length > 0.0, length, 1.0), 0.0)
 
 
 def reduced(values: Tensor, owner: Tensor, count: int, how: str, without: float) -> Tensor:

@@ -14,8 +14,9 @@ import torch
 from torch import Tensor
 
 from pgccd.detection.narrow import Kind
-from pgccd.detection.sites import EDGE, FACE, VERTEX, Sites, cross, dot, norm, reduced, unit_or_zero
+from pgccd.detection.sites import EDGE, FACE, VERTEX, Sites, reduced
 from pgccd.motion.differentiable import sum_by_row
+from pgccd.motion.vectors import cross, dot, norm, unit_or_zero
 
 Normals = Literal["features", "surface"]
 NORMALS = ("features", "surface")

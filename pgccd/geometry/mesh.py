@@ -28,8 +28,8 @@ SMALLEST_RADIUS, LARGEST_RADIUS = 1e-30, 1e30
 _MOST_EDGES = 2**30 - 1
 # Beyond this many SBV radii vertices have no more than four significant digits.
 _FURTHEST_ORIGIN = 1e12
-# A face whose edges are at most so many units in the last place of float32 has lost its shape.
-_FEW_UNITS = 4
+# A face whose edges are, or a body whose radius is, at most so many units in the last place of float32 is distorted.
+FEW_UNITS = 4
 
 
 # Entries of a mesh's state_dict: what it is built from, and where it comes from.
@@ -95,7 +95,7 @@ class Mesh:
         points = _as_array(vertices, np.float64, "vertices")
         triangles = _as_array(faces, np.int64, "faces")
         _check_faces(points, triangles)
-        if str(getattr(vertices, "dtype", "")).endswith("float32"):
+        if arguments.is_float32(vertices):
             _warn_of_rounding(points, triangles)
 
         corners = points[triangles]
@@ -498,7 +498,7 @@ def _warn_of_rounding(points: np.ndarray, faces: np.ndarray, source: str = "", s
     corners = points[faces]
     size = np.abs(corners - np.roll(corners, 1, axis=1)).max(axis=(1, 2))
     unit = np.spacing(np.abs(corners).max(axis=(1, 2)).astype(np.float32)).astype(np.float64)
-    is_lost = size <= _FEW_UNITS * unit
+    is_lost = size <= FEW_UNITS * unit
     if is_lost.any():
         face = int(np.argmax(is_lost))
         warnings.warn(

@@ -57,6 +57,8 @@ class RigidMotion(MovingColumns):
 
     _names = ("position_t0", "position_t1", "orientation_t0", "rotation")
     _checks = checks_of(_names)
+    # Whether a position was given in float32, which may have rounded it.
+    _is_of_float32 = False
 
     def __init__(
         self,
@@ -114,6 +116,7 @@ class RigidMotion(MovingColumns):
         motion = cls.__new__(cls)
         travel, turn = (velocity, spin) if dt == 1.0 else (dt * velocity, dt * spin)
         motion._set(start, orientation, start + travel, path)
+        motion._is_of_float32 = arguments.is_float32(position)
         motion.rotation = turn.contiguous()
         motion._sources = {
             "position_t0": "position",
@@ -142,6 +145,7 @@ class RigidMotion(MovingColumns):
         orientation = _rows(orientation, "orientation", start.shape[0], 4, start.device)
         motion = cls.__new__(cls)
         motion._set(start, orientation, start, "rigid")
+        motion._is_of_float32 = arguments.is_float32(position)
         # Zero by definition, not by cancellation.
         motion.rotation = torch.zeros_like(start)
         motion._sources = {"position_t0": "position", "position_t1": "position", "orientation_t0": "orientation"}
@@ -224,6 +228,7 @@ class RigidMotion(MovingColumns):
         return cls.from_rotation(**state)
 
     def _set(self, position_t0: Tensor, orientation_t0: Tensor, position_t1: Tensor, path: PathKind) -> None:
+        self._is_of_float32 = any(arguments.is_float32(each) for each in (position_t0, position_t1))
         self.position_t0 = _rows(position_t0, "position_t0", None, 3, None)
         count, device = self.position_t0.shape[0], self.position_t0.device
         self.orientation_t0 = _rows(orientation_t0, "orientation_t0", count, 4, device)

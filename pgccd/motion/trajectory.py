@@ -15,6 +15,7 @@ from pgccd.arguments import real_rows
 from pgccd.motion.paths import PATHS, PathKind, RigidMotion, VertexMotion
 from pgccd.motion.rotation import rotated
 from pgccd.motion.validation import MARGIN, Checked, check_of, columns_checked, first_invalid_rows
+from pgccd.motion.vectors import norm
 
 # How far an orientation may be from where the rotation before it leads, in units in the last place of the coarser of
 # both, for each radian of the rotation and one more.
@@ -76,6 +77,7 @@ class Trajectory:
         arguments.choice(path, "path", PATHS)
         self.path: PathKind = path
         self.position, self.rotation, self.margin = position, rotation, margin
+        self._is_of_float32 = arguments.is_float32(position)
         if rotation is not None and orientation is None:
             raise ValueError("rotation: expected an orientation beside it; vertices of deforming bodies do not turn")
         if rotation is not None and isinstance(orientation, Tensor) and orientation.dim() == 2:
@@ -91,6 +93,8 @@ class Trajectory:
 
     # The coarser unit in the last place of orientations and rotations as given.
     _unit = _UNITS[0]
+    # Whether positions were given in float32, which may have rounded them.
+    _is_of_float32 = False
 
     @classmethod
     def from_velocity(
@@ -186,9 +190,9 @@ class Trajectory:
         orientation, rotation = orientation.detach(), rotation.detach()
         turned = rotated(orientation[:-1].reshape(-1, 4), rotation.reshape(-1, 3))
         reached = orientation[1:].reshape(-1, 4)
-        reached = reached / _length(reached)[:, None]
-        off = torch.minimum(_length(turned - reached), _length(turned + reached))
-        allowed = _ROUNDING * self._unit * (1.0 + _length(rotation.reshape(-1, 3)))
+        reached = reached / norm(reached)[:, None]
+        off = torch.minimum(norm(turned - reached), norm(turned + reached))
+        allowed = _ROUNDING * self._unit * (1.0 + norm(rotation.reshape(-1, 3)))
         wrong = off > allowed
         if bool(wrong.any()):
             row = int(wrong.long().argmax())
@@ -384,14 +388,6 @@ def sum_of_margins(own: Tensor, of_scene: Tensor | None) -> Tensor:
     plain = total.detach()
     rounded = torch.where(is_exact, plain, torch.nextafter(plain, torch.full_like(plain, torch.inf)))
     return total + (rounded - plain)  # exact, with the gradient of the sum
-
-
-def _length(rows: Tensor) -> Tensor:
-    """(K,) lengths of rows (K, n), summed in the same order on every device."""
-    total = torch.zeros_like(rows[:, 0])
-    for column in rows.unbind(1):
-        total = total + column * column
-    return total.sqrt()
 
 
 def _turned(orientation: Tensor, rotation: Tensor) -> Tensor:

@@ -13,7 +13,7 @@ from pgccd import arguments
 from pgccd.detection import broad
 from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.capacity import COUNT_ROWS, BufferSizes, Capacity, overflow_flags, sizes_of
-from pgccd.detection.checks import Initial, warn_of_only_body
+from pgccd.detection.checks import Initial, warn_of_only_body, warn_of_rounded_positions
 from pgccd.detection.contacts import Contacts
 from pgccd.detection.memory import CapacityEstimate
 from pgccd.detection.padded import search_padded
@@ -144,6 +144,7 @@ def resolve(
             raise TypeError("motion: with a capacity, expected one step, got a Trajectory")
         check_trajectory(scene, motion)
         motion._refuse_gradient()
+        warn_of_rounded_positions(scene, motion)
         options: ResolveOptions = {"tolerance": tolerance, "initial": initial, "broad_phase": broad_phase}
         return resolve_segments(
             scene, motion, lambda thick, step: resolve(thick, step, movable, min_separation, **options)
@@ -153,6 +154,8 @@ def resolve(
     )
     if scene.body_count == 1:
         warn_of_only_body(scene, motion)
+    if sizes is None:
+        warn_of_rounded_positions(scene, motion)
     fixed = None
     if movable is not None:
         fixed = bool_column(movable, "movable", scene.body_count, scene.device) == 0

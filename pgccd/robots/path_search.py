@@ -14,6 +14,7 @@ from pgccd.detection.pipeline import detect
 from pgccd.detection.trajectories import repeated, time_along
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion
+from pgccd.motion.vectors import square_root
 from pgccd.robots.certificate import Certificate, Verdict
 from pgccd.robots.obstacles import Obstacles
 from pgccd.robots.robot import LARGEST_VALUE, Robot
@@ -243,7 +244,7 @@ class PathSearch:
             return steps[rows]
         share = (left / length)[rows]
         ratio = met.margin[rows] / torch.full_like(share, _MARGIN * self.resolution)
-        parts = (ratio.sqrt() * share).ceil().clamp(min=2.0, max=float(_MOST_PARTS)).long()
+        parts = (square_root(ratio) * share).ceil().clamp(min=2.0, max=float(_MOST_PARTS)).long()
         open_steps = steps[rows]
         return _Steps(open_steps.environment, open_steps.segment, at[rows], open_steps.end).split(parts)
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from pgccd.motion.vectors import norm
 from pgccd.robots.kinematics import Poses, Tree
 
 #: The bound holds for links that turn by at most so many radians in a step, the turns of all joints added.
@@ -207,5 +208,4 @@ def _acceleration(chains: Chains, steps: Tensor, turn: Tensor, start: Poses, end
 
 def _distances(poses: Poses, chains: Chains) -> Tensor:
     """(P, N, K): of the bodies' frames from those of their chains, back to the base."""
-    x, y, z = (poses.position[chains.back.frame] - poses.position[chains.frames]).unbind(3)
-    return (x * x + y * y + z * z).sqrt()
+    return norm(poses.position[chains.back.frame] - poses.position[chains.frames])

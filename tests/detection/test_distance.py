@@ -204,6 +204,22 @@ def test_many_triangles_that_are_equally_near() -> None:
     assert found.converged.item() and found.lower.item() <= 0.001 + 1e-15 <= found.upper.item() + 1e-12
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_points_of_surfaces_that_intersect_are_one_point_of_both(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    box, other = pgccd.Mesh.box([1.0, 1.0, 1.0]), bumpy(rng, 1)
+    place = np.array([[0.0, 0, 0], [1.6, 0.1, 0.2]])
+    bodies = Moving([box, other], place, unit_quaternions(rng, 2), place, rng.normal(size=(2, 3)))
+    bodies.end = place - np.array([[0.0, 0, 0], [2.0, 0, 0]])
+    found = bodies.distance(tolerance=0.0)
+    assert found.upper.item() == 0.0
+    points, t = found.points[0].numpy(), found.time.item()
+    assert np.abs(points[1] - points[0]).max() < 1e-14
+    for body in (0, 1):  # as a triangle that is one point
+        surface = bodies.vertices_at(body, t), bodies.meshes[body].faces.numpy()
+        assert boundary_distance(*surface, points[[body] * 3], np.array([[0, 1, 2]])) < 1e-13
+
+
 def test_surfaces_that_intersect_or_touch() -> None:
     box = pgccd.Mesh.box([1.0, 1.0, 1.0])
     rng = np.random.default_rng(0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from functools import partial
 from typing import Any, get_args
 
 import numpy as np
@@ -199,3 +200,29 @@ def test_starts_need_all_first_contacts() -> None:
             _ = hits.starts_intersecting
     with pytest.raises(AttributeError, match='^report: "any" .* `starts_intersecting`'):
         _ = pgccd.detect(scene, motion, "any").starts_intersecting
+
+
+@pytest.mark.parametrize("given", ["constructor", "velocity", "rest", "trajectory"])
+def test_positions_that_float32_has_rounded_to_the_size_of_bodies(given: str) -> None:
+    scene = pgccd.Scene([pgccd.Mesh.box([1.0, 1.0, 1.0])], mesh_index=[0, 0])
+    q = torch.tensor([[1.0, 0, 0, 0]] * 2)
+
+    def moved(x: torch.Tensor) -> pgccd.RigidMotion | pgccd.Trajectory:
+        v = torch.zeros(2, 3)
+        return {
+            "constructor": lambda: pgccd.RigidMotion(x, q, x.double(), q),
+            "velocity": lambda: pgccd.RigidMotion.from_velocity(x, q, v, v, dt=1.0),
+            "rest": lambda: pgccd.RigidMotion.at_rest(x, q),
+            "trajectory": lambda: pgccd.Trajectory(x.expand(3, 2, 3), q.expand(3, 2, 4)),
+        }[given]()
+
+    x = torch.tensor([[5.0, 0, 0], [1e7, 0, 0]])
+    found = "float32 has rounded the positions of 1 of 2 bodies: that of body 1, of radius 0.866, is a multiple of 1."
+    calls: list[Callable[[Any], Any]] = [partial(pgccd.detect, scene), partial(pgccd.resolve, scene)]
+    for call in [*calls, partial(pgccd.distance, scene, cutoff=1.0)]:
+        with pytest.warns(UserWarning, match=found):
+            call(moved(x))
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            call(moved(x.double()))
+            call(moved(torch.tensor([[5.0, 0, 0], [1e6, 0, 0]])))  # multiples of 1/16

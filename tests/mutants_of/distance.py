@@ -101,8 +101,8 @@ MUTANTS = [
     Mutant(
         "distance-upper-rounding",
         SEARCH,
-        "norm(on_b - on_a) * (1.0 + 0x1p-48) + pair_.rounding()",
-        "norm(on_b - on_a)",
+        "norm(points[1] - points[0]) * (1.0 + 0x1p-48) + pair_.rounding()",
+        "norm(points[1] - points[0])",
         ON_DISTANCE,
     ),
     Mutant(

@@ -1,5 +1,5 @@
 """Scenes that are made to be hard: hundreds of intersections in one pair, grazing and resting contacts, equal times,
-crowds that deform. Others are random ones.
+crowds that deform, bodies that turn fast about a distant axis. Others are random ones.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from support.random_scenes import ARGUMENTS, KINDS, RandomScene, deformed, exclu
 from support.shapes import bumpy, directions, unit_quaternions
 
 #: How scenes are made, besides those of `random_scenes.LAYOUTS`.
-HARD_LAYOUTS = ("crossing", "crowded", "grazing", "touching", "tied")
+HARD_LAYOUTS = ("crossing", "crowded", "grazing", "touching", "tied", "circling")
 _DT = 0.7  # of `RandomScene.motion`
 _CROSSING = (30, 36)
 _CROWDED = (24, 32)
@@ -27,7 +27,7 @@ def hard_scene(seed: int) -> RandomScene:
         return random_scene(seed)
     rng = np.random.default_rng([seed, 3])
     layout = HARD_LAYOUTS[seed // 2 % len(HARD_LAYOUTS)]
-    made = {"crossing": _crossing, "crowded": _crowded, "tied": _tied}.get(layout)
+    made = {"crossing": _crossing, "crowded": _crowded, "tied": _tied, "circling": _circling}.get(layout)
     return _meeting(rng, seed, layout) if made is None else made(rng, seed)
 
 
@@ -152,3 +152,22 @@ def _tied(rng: np.random.Generator, seed: int) -> RandomScene:
     kind = str(rng.choice(["rigid", "linear"]))
     poses = [place, bodies.orientation_t0, velocity, still]
     return _made(rng, seed, "tied", kind, bodies.meshes[:1], np.zeros(count), filters, poses)
+
+
+def _circling(rng: np.random.Generator, seed: int) -> RandomScene:
+    """Bodies on one circle far from their origins, that turn many times at different speeds: a search for first
+    contacts shortens the motion to ever fewer segments.
+    """
+    count, far = int(rng.integers(5, 10)), float(rng.choice([5.0, 200.0]))
+    made = bumpy(rng, 0)
+    mesh = pgccd.Mesh(made.vertices.numpy() + [far, 0.0, 0.0], made.faces)
+    angle, zero = rng.uniform(0.0, 2.0 * np.pi, count), np.zeros(count)
+    turn = rng.uniform(40.0, 90.0, count) * rng.choice([-1.0, 1.0], count)
+    orientation = np.column_stack([np.cos(0.5 * angle), zero, zero, np.sin(0.5 * angle)])
+    place = np.column_stack([zero, zero, rng.uniform(-1.0, 1.0, count)])
+    filters = filters_of(rng, count, "rigid", 0.1)
+    spin = np.column_stack([zero, zero, turn])
+    if "static" in filters:
+        spin[filters["static"].numpy()] = 0.0
+    poses = [place, orientation, np.zeros((count, 3)), spin / _DT]
+    return _made(rng, seed, "circling", "rigid", [mesh], np.zeros(count, dtype=np.int64), filters, poses)

@@ -345,16 +345,16 @@ class DistanceSearch {
   // Lowers the upper bound to the distance of the points at a time, if that is less.
   PGCCD_HD void lower_upper_bound(const Corners3& a, const Corners3& b, const NearestOfTriangles& nearest,
                                   Vec3<double> direction, double t) {
-    const Vec3<double> on_a = nearest.weights[0].of(a), on_b = nearest.weights[1].of(b);
-    double upper = norm(on_b - on_a) * (1.0 + 0x1p-48) + pair_.rounding();
+    Vec3<double> points[2] = {nearest.weights[0].of(a), nearest.weights[1].of(b)};
+    double upper = norm(points[1] - points[0]) * (1.0 + 0x1p-48) + pair_.rounding();
     // The direction of the nearest points separates triangles, unless they have a common point.
     const bool may_meet = !(gap_along(a, b, direction) > pair_.rounding());
-    if (may_meet && certainly_intersect(a, b, pair_.point_error())) upper = 0.0;
+    if (may_meet && certainly_intersect(a, b, pair_.point_error(), points)) upper = 0.0;
     if (!(upper < found_.upper)) return;
     found_.upper = upper;
     found_.time = t;
-    found_.point[0] = on_a;
-    found_.point[1] = on_b;
+    found_.point[0] = points[0];
+    found_.point[1] = points[1];
     hint_ = direction;
   }
 

@@ -113,14 +113,22 @@ PGCCD_HD double turning_gap(const TurningRange& most, const TurningRange& least,
   return least_of_quadratic(first, middle + 0.5 * (shorter * gap), last);
 }
 
-// Whether an edge of one certainly passes through the other, given the error of the points.
-PGCCD_HD_RARE inline bool certainly_intersect(const Corners3& a, const Corners3& b, double point_error) {
+// Whether an edge of one certainly passes through the other, given the error of the points; if so, `points` are the place
+// on each where it does.
+PGCCD_HD_RARE inline bool certainly_intersect(const Corners3& a, const Corners3& b, double point_error,
+                                              Vec3<double> (&points)[2]) {
   const auto never = [] { return EdgeAndFace<DoubleDouble>{}; };
   for (int k = 0; k < 6; ++k) {
     const int c = k < 3 ? k : k - 3;
     const Corners3 &of_edge = k < 3 ? a : b, &face = k < 3 ? b : a;
     const EdgeAndFace<double> x{{of_edge.x[c], of_edge.x[gap_detail::next_corner(c)], face.x[0], face.x[1], face.x[2]}};
-    if (passes_through(x, point_error, never, false) == Crossing::kPasses) return true;
+    if (passes_through(x, point_error, never, false) != Crossing::kPasses) continue;
+    const FacePoint at = crossing_point(in_double_double(x), size_of(x));
+    const Vec3<double> on_face = gap_detail::on_face(at.u, at.v).of(face), along = x.point[1] - x.point[0];
+    const double s = unit_clamp(dot(on_face - x.point[0], along) / norm_squared(along));
+    points[k < 3 ? 1 : 0] = on_face;
+    points[k < 3 ? 0 : 1] = (1.0 - s) * x.point[0] + s * x.point[1];
+    return true;
   }
   return false;
 }
