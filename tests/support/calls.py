@@ -25,7 +25,7 @@ from support.shapes import unit_quaternions
 Columns = dict[str, Tensor]
 #: Largest difference of gradients, relative to the largest entry of each.
 OF_GRADIENTS = 1e-12
-# Contacts whose derivatives have bits that count: the gap closes at this part of the fastest rate.
+# Contacts whose derivatives are compared: the gap closes at least at this part of the speed of points.
 _CLOSING = 1e-2
 # The arms of one scene in so many.
 _ARMS = 16
@@ -201,7 +201,7 @@ def _gradients(given: Given) -> Columns:
     columns["approach"] = approach
     if not len(hits):
         return _on_cpu(columns)
-    counts = hits.differentiable & (approach > _CLOSING * approach.max())
+    counts = hits.differentiable & (approach > _CLOSING * _speed(bodies, motion))
     columns["differentiable"] = hits.differentiable
     generator = torch.Generator().manual_seed(given.scene.seed)
     loss = torch.zeros((), dtype=torch.float64, device=given.device)
@@ -214,6 +214,16 @@ def _gradients(given: Given) -> Columns:
         for k, gradient in enumerate(torch.autograd.grad(loss, wanted, allow_unused=True)):
             columns[f"gradient {k}"] = torch.zeros(0) if gradient is None else gradient
     return _on_cpu(columns)
+
+
+def _speed(bodies: pgccd.Scene, motion: pgccd.RigidMotion | pgccd.VertexMotion | pgccd.Trajectory) -> float:
+    """An upper bound of the distance that a point moves in a step."""
+    steps = motion.steps() if isinstance(motion, pgccd.Trajectory) else motion
+    if isinstance(steps, pgccd.VertexMotion):
+        return float((steps.x_t1 - steps.x_t0).detach().norm(dim=1).max())
+    reach = max(float(mesh.vertices.norm(dim=1).max()) for mesh in bodies.meshes.meshes)
+    travel, turn = steps.position_t1 - steps.position_t0, steps.rotation
+    return float((travel.detach().norm(dim=1) + reach * turn.detach().norm(dim=1)).max())
 
 
 def replace_margin(bodies: pgccd.Scene, margin: Tensor) -> pgccd.Scene:
