@@ -23,7 +23,8 @@ from support.random_scenes import LAYOUTS, RandomScene
 from support.shapes import unit_quaternions
 
 Columns = dict[str, Tensor]
-#: Largest difference of gradients, relative to the largest entry of each.
+#: Largest difference of gradients, relative to the largest entry of each, for each radian of the fastest turn and one
+#: more: sines of large angles are rounded in units of the angle.
 OF_GRADIENTS = 1e-12
 # Contacts whose derivatives are compared: the gap closes at least at this part of the speed of points.
 _CLOSING = 1e-2
@@ -202,7 +203,7 @@ def _gradients(given: Given) -> Columns:
     if not len(hits):
         return _on_cpu(columns)
     counts = hits.differentiable & (approach > _CLOSING * _speed(bodies, motion))
-    columns["differentiable"] = hits.differentiable
+    columns["differentiable"], columns["turn"] = hits.differentiable, _largest_turn(motion)
     generator = torch.Generator().manual_seed(given.scene.seed)
     loss = torch.zeros((), dtype=torch.float64, device=given.device)
     for name in ("toi", "point", "normal", "coordinates", "approach"):
@@ -214,6 +215,14 @@ def _gradients(given: Given) -> Columns:
         for k, gradient in enumerate(torch.autograd.grad(loss, wanted, allow_unused=True)):
             columns[f"gradient {k}"] = torch.zeros(0) if gradient is None else gradient
     return _on_cpu(columns)
+
+
+def _largest_turn(motion: pgccd.RigidMotion | pgccd.VertexMotion | pgccd.Trajectory) -> Tensor:
+    """(1,) radians of the fastest body in a step; 0 where bodies deform."""
+    steps = motion.steps() if isinstance(motion, pgccd.Trajectory) else motion
+    if isinstance(steps, pgccd.VertexMotion):
+        return torch.zeros(1)
+    return steps.rotation.detach().cpu().norm(dim=1).amax(dim=0, keepdim=True)
 
 
 def _speed(bodies: pgccd.Scene, motion: pgccd.RigidMotion | pgccd.VertexMotion | pgccd.Trajectory) -> float:

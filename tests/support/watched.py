@@ -101,21 +101,23 @@ def _said(found: Columns | str, expected: Columns | str) -> str | None:
     if isinstance(found, str) or isinstance(expected, str):
         return None if found == expected else f"{_short(found)}, expected {_short(expected)}"
     gradients = {key for key in expected if key.startswith("gradient ")}
-    plain = [{key: column for key, column in each.items() if key not in gradients} for each in (found, expected)]
+    apart = {*gradients, "turn"}
+    plain = [{key: column for key, column in each.items() if key not in apart} for each in (found, expected)]
     said = difference(*plain)
     if said is None and found.keys() == expected.keys():
         for key in gradients:
-            said = said or _said_of_gradient(key, found[key], expected[key])
+            bound = calls.OF_GRADIENTS * (1.0 + float(expected["turn"]))
+            said = said or _said_of_gradient(key, found[key], expected[key], bound)
     return said
 
 
-def _said_of_gradient(name: str, found: Tensor, expected: Tensor) -> str | None:
+def _said_of_gradient(name: str, found: Tensor, expected: Tensor, bound: float) -> str | None:
     if found.shape != expected.shape:
         return f"{name}: {tuple(found.shape)}, expected {tuple(expected.shape)}"
     if not expected.numel():
         return None
     error = float((found - expected).abs().max() / expected.abs().max().clamp(min=torch.finfo(torch.float64).tiny))
-    return None if error <= calls.OF_GRADIENTS else f"{name}: differs by {error:.1e} of its largest entry"
+    return None if error <= bound else f"{name}: differs by {error:.1e} of its largest entry"
 
 
 def _short(found: Columns | str) -> str:
