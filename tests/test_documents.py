@@ -38,7 +38,13 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     torch.manual_seed(0)
 
 
-@pytest.mark.parametrize("name", DOCUMENTS)
+# `tests/distributed/test_loops.py` runs it too.
+ON_MANY_RANKS = "04_many_ranks.py"
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow if name == ON_MANY_RANKS else []) for name in DOCUMENTS]
+)
 def test_documents(name: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     if any("load_urdf(" in block for block in blocks(DOCUMENTS[name])):
         pytest.importorskip("yourdfpy")

@@ -24,7 +24,7 @@ class PyBullet:
     Shapes of one multibody are not tested against each other, as PyBullet does by default; its other filters are not
     looked at. Shapes of bases without mass and links are static. Meshes of files, which PyBullet replaces by their
     hulls, are taken as they are, in metres. Both, and hulls of points, are thickened by their collision margin, as
-    PyBullet does: by 0.001 at least.
+    PyBullet does: by 0.001 at least. Boxes have sharp edges here; PyBullet rounds them with a radius of its margin.
 
     Args:
         client: number of the physics server, as `pybullet.connect` returns it.

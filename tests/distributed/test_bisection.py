@@ -155,7 +155,14 @@ def test_shares_that_are_not_equal() -> None:
     assert torch.allclose(loads.double(), 2000.0 * torch.tensor(shares).double(), atol=10.0)
 
 
-@pytest.mark.parametrize(("name", "policy"), [("random", "cost"), ("skewed", "cost"), ("skewed", "measured")])
+@pytest.mark.parametrize(
+    ("name", "policy"),
+    [
+        pytest.param("random", "cost", marks=pytest.mark.slow),
+        ("skewed", "cost"),
+        pytest.param("skewed", "measured", marks=pytest.mark.slow),
+    ],
+)
 def test_the_simulation_has_the_same_bits(world: World, name: str, policy: str) -> None:
     seen = world(test_distributed_simulation.follow_bisected, name, policy, 24)
     assert seen[0]["contacts"] > 100

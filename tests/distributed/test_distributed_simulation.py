@@ -323,7 +323,9 @@ def test_balance_spreads_what_one_rank_had(ranks: World) -> None:
 
 @pytest.mark.parametrize("size", [pytest.param(2, marks=pytest.mark.slow), 4])
 @pytest.mark.parametrize("graph", [False, True], ids=["eager", "replayed"])
-@pytest.mark.parametrize(("name", "policy"), [("random", "none"), ("skewed", "cost")])
+@pytest.mark.parametrize(
+    ("name", "policy"), [pytest.param("random", "none", marks=pytest.mark.slow), ("skewed", "cost")]
+)
 def test_same_bits_with_neighbours_only(ranks: World, name: str, policy: str, graph: bool, size: int) -> None:
     extended = ranks.run(size, follow_neighbours, name, policy, 24, graph)
     assert extended[0] > 0 or policy != "none"
