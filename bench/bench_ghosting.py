@@ -19,7 +19,7 @@ import torch
 from support import results, timing
 from torch import Tensor
 
-from pgccd import broad, ops, sim
+from pgccd import broad, distributed, ops, sim
 from pgccd.detection.bodies import MovingBodies
 from pgccd.distributed import Cells
 
@@ -39,12 +39,12 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=20, help="before the one that is looked at")
     arguments = parser.parse_args()
     model = sim.Model(sim.ModelConfig(robots=arguments.robots))
-    state = model.start()
-    scene = model.scene(state.id)
+    simulation = sim.Simulation.create(distributed.Alone(), model, graph=False)
     for index in range(arguments.steps):
-        state = sim.make_step(model, scene, state, index).after
-    last = sim.make_step(model, scene, state, arguments.steps)
-    bodies = MovingBodies.of(scene, model.motion(last.before))
+        simulation.step(index)
+    last = simulation.step(arguments.steps)
+    assert isinstance(last, sim.Step)
+    bodies = MovingBodies.of(model.scene(last.before.id), model.motion(last.before))
     rows = [count(model, bodies, last.contacts.pairs, ranks, arguments) for ranks in arguments.ranks]
     results.table(rows)
     results.write(

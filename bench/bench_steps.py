@@ -20,7 +20,7 @@ from typing import Any
 import torch
 from support import results, timing
 
-from pgccd import sim
+from pgccd import distributed, sim
 from pgccd.sim.captured import CommittedStep
 
 
@@ -47,15 +47,15 @@ def main() -> None:
 def measure(robots: int, graph: bool, busy: bool, arguments: argparse.Namespace) -> dict[str, Any]:
     """One row."""
     model = sim.Model(sim.ModelConfig(robots=robots, pattern=arguments.pattern), device="cuda")
-    maker = sim.StepMaker(model, model.start(), graph=graph)
+    simulation = sim.Simulation.create(distributed.Alone(), model, graph=graph)
     begin, end = arguments.steps_before, arguments.steps_before + arguments.rounds
     for index in range(begin):
-        maker.step(index, more=end - index)
+        simulation.step(index, more=end - index)
     torch.cuda.synchronize()
     wall, device, committed = [], [], 0
     for index in range(begin, end):
         start = time.perf_counter()
-        made = maker.step(index, more=end - index)
+        made = simulation.step(index, more=end - index)
         record = made.record
         wall.append(time.perf_counter() - start)
         device.append(record["seconds"])

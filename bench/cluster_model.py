@@ -17,7 +17,7 @@ The model of a step, which is one CUDA graph per rank, is the sum for the most l
 * balance: between hosts, one decision in `--decide-every` steps: 4 log2 P sums of 64 bins per part of space. The work
   of a decision on the device is not included.
 
-Single-process rows of bench/results/cluster_scaling-cuda.json determine "alone" (one line per pattern), its rows of two
+Rows of one rank in bench/results/cluster_scaling-cuda.json determine "alone" (one line per pattern), its rows of two
 ranks "ghosts" and "many" (the same for both patterns), by least squares of relative errors. All residuals are listed.
 So are predictions for measurements to which the model is not fitted: four ranks, and the steps of
 bench/results/steps-cuda.json. Nothing between hosts was measured:
@@ -121,7 +121,7 @@ class Measured:
         alone: dict[str, list[tuple[float, float]]] = {}
         for row in rows:
             if row["ranks"] == 1:
-                point = row["robots"], row["single_process_ms"]["median"]
+                point = row["robots"], timing.alone_ms(row)
                 alone.setdefault(row["pattern"], []).append(point)
         #: By pattern: milliseconds of a step of no robots, and per robot.
         self.line = {
@@ -145,7 +145,7 @@ class Measured:
     def compared(self, row: dict[str, Any]) -> dict[str, Any]:
         """A measured row, and the prediction."""
         several = row["ranks"] > 1
-        measured = row["ms" if several else "single_process_ms"]["median"]
+        measured = row["ms"]["median"] if several else timing.alone_ms(row)
         predicted = self.own(row) + several * (self.many_ms + self.ghost_ms * ghosts_of(row))
         names = ("ranks", "robots", "pattern", "commit")
         fitted = {"fitted to": row["ranks"] <= 2}

@@ -52,7 +52,7 @@ def measure_simulation(comm: distributed.Comm, case: Case, steps: Steps, given: 
     mine = {name: column[comm.rank :: comm.size].to(device) for name, column in given["start"].items()}
     policy = _POLICIES[case.system]
     balance = distributed.BalanceOptions(policy, threshold=case.threshold)
-    simulation = sim.distributed.DistributedSimulation.create(comm, model, partition, sim.RobotState(**mine), balance)
+    simulation = sim.Simulation.create(comm, model, partition, sim.RobotState(**mine), balance)
     made, ends = [], []
     comm.barrier()
     end = steps.before + steps.settling + steps.timed

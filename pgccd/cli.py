@@ -1,7 +1,6 @@
 """The command line: `pgccd view`, `pgccd detect`, `pgccd audit`, `pgccd simulate`, `pgccd info`."""
 
 import argparse
-import functools
 import json
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -24,8 +23,8 @@ from pgccd.distributed.launch.agreement import on_first, together
 from pgccd.files import bodies_and_poses, frame_columns, iterate_frames, load_configurations, load_motion
 from pgccd.geometry.origin import Origin
 from pgccd.runtime.memory import is_out_of_memory
+from pgccd.sim import command
 from pgccd.sim.checkpoint import Header, require_checkpoint
-from pgccd.sim.distributed import command
 from pgccd.sim.pictures import shown_steps, write_pictures
 from pgccd.sim.progress import Progress, terminal_progress
 from pgccd.sim.run_folder import mesh_files
@@ -275,12 +274,7 @@ def _run_or_resume(options: argparse.Namespace, device: torch.device, comm: dist
     out = options.out or Path("out/simulate")
     settings: dict[str, Any] = {"device": device, "broad_phase": options.broad_phase}
     settings |= {"checkpoint_every": options.checkpoint_every, "keep": options.keep}
-    begin: Callable[..., sim.Run] = sim.run
-    go_on: Callable[..., sim.Run] = sim.resume
-    if comm.size > 1:
-        spread: dict[str, Any] = {"options": command.distributed_options(options)}
-        begin = functools.partial(sim.distributed.run, comm, **spread)
-        go_on = functools.partial(sim.distributed.resume, comm, **spread)
+    settings |= {"comm": comm, "options": command.rank_options(options)}
 
     def kept(config: sim.ModelConfig) -> int:
         return 0 if options.no_pictures else shown_steps(config)
@@ -296,7 +290,7 @@ def _run_or_resume(options: argparse.Namespace, device: torch.device, comm: dist
             meshes = together(comm, lambda: _load_meshes(files, "--mesh", "centroid"))
             with _progress(comm, options, header.steps_made, options.steps or header.steps_wanted) as progress:
                 settings["keep_steps"] = kept(header.config)
-                return go_on(folder, options.steps, meshes=meshes, progress=progress, **settings), folder
+                return sim.resume(folder, options.steps, meshes=meshes, progress=progress, **settings), folder
     except (ValueError, OSError) as error:
         raise ArgumentError("--resume", error) from error
     try:
@@ -310,7 +304,7 @@ def _run_or_resume(options: argparse.Namespace, device: torch.device, comm: dist
     settings |= {"notes": notes, "overwrite": options.overwrite, "keep_steps": kept(config)}
     try:
         with _progress(comm, options, 0, steps) as progress:
-            return begin(config, steps, out, meshes=meshes, progress=progress, **settings), out
+            return sim.run(config, steps, out, meshes=meshes, progress=progress, **settings), out
     except (FolderError, sim.CheckpointError) as error:
         raise ArgumentError("--out", str(error).removeprefix("folder: ")) from error
 

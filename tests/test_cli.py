@@ -209,7 +209,7 @@ def test_quiet_and_json(tmp_path: Path, meshes: list[str], poses: str, capsys: p
 def test_a_folder_that_cannot_be_written_is_refused_before_the_first_step(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("pgccd.sim.replay.make_step", lambda *_: pytest.fail("a step was made"))
+    monkeypatch.setattr("pgccd.sim.Simulation.step", lambda *_: pytest.fail("a step was made"))
     monkeypatch.setattr("pgccd.sim.model.Model.start", lambda *_: pytest.fail("the world was made"))
     assert main(["simulate", "--robots", "30", "--steps", "1", "--out", "/proc/run"]) == 2
     assert "argument --out: cannot write to /proc/run" in capsys.readouterr().err
@@ -325,7 +325,7 @@ def test_too_little_memory_is_a_mistake_too(
         raise error
 
     monkeypatch.setattr("pgccd.detect", fail)
-    monkeypatch.setattr("pgccd.sim.replay.make_step", fail)
+    monkeypatch.setattr("pgccd.sim.Simulation.step", fail)
     for arguments, option in (
         (["detect", *meshes, "--motion", poses], "--motion"),
         (["simulate", "--robots", "20", "--steps", "1", "--out", str(tmp_path)], "--robots"),

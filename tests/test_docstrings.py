@@ -21,12 +21,13 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from support.steps import step_of
 
 import pgccd
 from pgccd import distributed, sim
 from pgccd.distributed.partition.balance import CellLoads
 from pgccd.distributed.partition.decomposition import Decomposition
-from pgccd.sim.step import FIRST_CONTACTS
+from pgccd.sim.partners import FIRST_CONTACTS
 
 ROOT = Path(__file__).resolve().parents[1]
 TWO_BALLS = """<mujoco><worldbody><geom type="plane" size="1 1 1"/>
@@ -36,7 +37,6 @@ NOT_ALONE = (
     "pgccd.distributed.checkpoint.writing",
     "pgccd.distributed.guard.guard",
     "pgccd.distributed.comm.mpi_comm",
-    "pgccd.sim.distributed.runner",
     "pgccd.runtime.side_stream",
     "pgccd.distributed.comm.torch_comm",
     "pgccd.distributed.detection.share",
@@ -99,7 +99,7 @@ def of_robots() -> dict[str, Any]:
     model = sim.Model(sim.ModelConfig(robots=50, speed=0.3))
     state, comm = model.start(), distributed.Alone()
     scene = model.scene(state.id)
-    step = sim.make_step(model, scene, state, 0)
+    step = step_of(model, state, 0)
     moved = model.plan(state, 0)
     hits = pgccd.detect(scene, model.motion(moved), FIRST_CONTACTS.report)
     names = {"model": model, "state": state, "scene": scene, "step": step, "hits": hits, "comm": comm}
@@ -228,7 +228,7 @@ def test_attributes_are_in_the_help() -> None:
 
 def public_classes() -> list[type]:
     """The classes that the packages for simulations, ranks and pictures make public."""
-    packages = (distributed, pgccd.robots, sim, sim.distributed, pgccd.simulators, pgccd.viz)
+    packages = (distributed, pgccd.robots, sim, pgccd.simulators, pgccd.viz)
     classes = {getattr(package, name) for package in packages for name in package.__all__}
     return sorted((each for each in classes if inspect.isclass(each)), key=lambda each: each.__qualname__)
 
@@ -265,4 +265,4 @@ def test_attributes_of_classes_are_in_their_docstrings(cls: type) -> None:
 
 
 def test_public_classes_are_found() -> None:
-    assert {pgccd.viz.Snapshot, sim.Model, sim.distributed.RankStep, distributed.World} <= set(public_classes())
+    assert {pgccd.viz.Snapshot, sim.Model, sim.Step, distributed.World} <= set(public_classes())

@@ -215,11 +215,10 @@ def test_pictures_know_no_simulation() -> None:
         assert not any(name.startswith(("pgccd.sim", "pgccd.distributed")) for name in imports(path)), path
 
 
-def test_one_process_needs_no_ranks() -> None:
-    ranks = ("pgccd.distributed", "pgccd.sim.distributed.")
-    for path in python_files(PACKAGE / "sim", PACKAGE / "viz"):
-        if path.parent.name != "distributed":
-            assert not any(name.startswith(ranks) for name in imports(path)), path
+def test_detection_needs_no_ranks() -> None:
+    packages = ("auditing", "checkpoint", "detection", "geometry", "motion", "ops", "resolution", "robots", "runtime")
+    for path in python_files(*(PACKAGE / name for name in (*packages, "simulators", "viz"))):
+        assert not any(name.startswith(("pgccd.distributed", "pgccd.sim.")) for name in imports(path)), path
 
 
 def test_generic_ranks_know_no_simulation() -> None:

@@ -22,7 +22,6 @@ PACKAGES = (
     narrow,
     robots,
     sim,
-    sim.distributed,
     simulators,
     traverse,
     viz,

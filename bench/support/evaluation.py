@@ -20,7 +20,7 @@ from typing import Any
 
 import torch
 
-from pgccd import sim
+from pgccd import distributed, sim
 from pgccd.sim.model import Pattern
 from support import results
 
@@ -128,17 +128,15 @@ def prepare(folder: Path, config: sim.ModelConfig, steps: Steps, device: str) ->
     hashes of all later steps.
     """
     model = sim.Model(config, device=device)
-    state = model.start()
-    scene, plan = model.scene(state.id), sim.StepPlan()
+    simulation = sim.Simulation.create(distributed.Alone(), model, graph=False)
     start, states, hashes = None, [], []
     for index in range(steps.before + steps.settling + steps.timed):
         if index == steps.before:
-            start = state.to("cpu").columns
+            start = simulation.state.to("cpu").columns
         timed = index - steps.before - steps.settling
         if 0 <= timed < steps.baseline:
-            states.append(state.to("cpu").columns)
-        made = sim.make_step(model, scene, state, index, plan=plan)
-        state = made.after
+            states.append(simulation.state.to("cpu").columns)
+        made = simulation.step(index)
         if index >= steps.before:
             hashes.append(made.record["contacts_hash"])
     content = {"config": asdict(config), "start": start, "states": states, "hashes": hashes}

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from pgccd import sim
+from pgccd import distributed, sim
 from pgccd.sim.model import Pattern
 
 
@@ -42,15 +42,19 @@ class MixedWorld:
 
     def _set(self, model: sim.Model, state: sim.RobotState, steps_made: int) -> None:
         self.model = model
-        self.state = state
         self.scene = model.scene(state.id)
         self.steps_made = steps_made
-        self._plan = sim.StepPlan()
+        self._simulation = sim.Simulation.create(distributed.Alone(), model, None, state, graph=False)
+
+    @property
+    def state(self) -> sim.RobotState:
+        """All robots after the last step."""
+        return self._simulation.state
 
     def advance(self) -> sim.Step:
         """Makes one step."""
-        step = sim.make_step(self.model, self.scene, self.state, self.steps_made, plan=self._plan)
-        self.state = step.after
+        step = self._simulation.step(self.steps_made)
+        assert isinstance(step, sim.Step)
         self.steps_made += 1
         return step
 

@@ -36,6 +36,11 @@ def host_loop() -> float:
     return time.perf_counter() - start
 
 
+def alone_ms(row: dict[str, Any]) -> float:
+    """Milliseconds of a step of one rank. Rows of 0.1.0 have those of a loop without ranks besides."""
+    return float((row.get("single_process_ms") or row["ms"])["median"])
+
+
 def summary(samples: list[float], unit: float = 1e3) -> dict[str, float]:
     """Median and spread of durations in seconds, as milliseconds (or 1 / `unit` seconds)."""
     values = np.array(samples) * unit

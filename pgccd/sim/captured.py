@@ -1,7 +1,8 @@
 """One step of the model as a CUDA graph. It is committed if no rank exceeded a capacity, all collisions are resolved
-and the poses are valid; otherwise `pgccd.sim.replay` runs it eagerly.
+and the poses are valid; otherwise `pgccd.sim.Simulation` runs it eagerly.
 """
 
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,6 +16,7 @@ from torch import Tensor
 from pgccd import ops
 from pgccd.detection.capacity import Counts
 from pgccd.detection.passes import SearchPass, first_contacts_of
+from pgccd.distributed.partition.balance import RankLoads
 from pgccd.resolution.counts import GatheredCounts, Rows, SearchCounts
 from pgccd.resolution.round_plan import RoundPlan
 from pgccd.resolution.rounds import Attempt, Exchange
@@ -22,7 +24,42 @@ from pgccd.runtime.stages import StageClock
 from pgccd.runtime.transaction import TransactionGraph
 from pgccd.sim.model import PLANNED, Model, RobotState
 from pgccd.sim.partners import Partners
-from pgccd.sim.tally import COUNTED, Tally, count_step
+from pgccd.sim.reports import Reports
+from pgccd.sim.tally import Tally, count_step
+
+# A graph has more rounds of collision resolution than any recent step took: the step that needs one more is repeated,
+# and another graph captured, which takes as long as several hundred superfluous rounds.
+_RECENT_STEPS, _SPARE_ROUNDS = 512, 1
+# Steps from which the usual number of rounds is taken: fewer, since it grows in the first hundred steps.
+_USUAL_STEPS = 16
+
+
+class RecentRounds:
+    """Numbers of rounds of collision resolution in recent steps: a graph has more than any of them took."""
+
+    def __init__(self) -> None:
+        self._rounds: deque[int] = deque(maxlen=_RECENT_STEPS)
+
+    def note(self, rounds: int) -> None:
+        """Records the rounds of a step."""
+        self._rounds.append(rounds)
+
+    @property
+    def to_capture(self) -> int:
+        """Rounds of a graph."""
+        return max(self._rounds) + _SPARE_ROUNDS
+
+    @property
+    def usual(self) -> int:
+        """Rounds that three of four recent steps needed. A conditional part of a graph costs a third as much as a
+        superfluous round.
+        """
+        recent = sorted(list(self._rounds)[-_USUAL_STEPS:])
+        return recent[len(recent) // 4]
+
+    def need_fewer_than(self, rounds: int) -> bool:
+        """Whether a graph with so many rounds has more than needed."""
+        return len(self._rounds) == _RECENT_STEPS and self.to_capture < rounds
 
 
 @dataclass(frozen=True)
@@ -44,24 +81,54 @@ Summarise = Callable[[Searches, RobotState], Tensor]
 
 @dataclass
 class CommittedStep:
-    """A step that was committed on the device."""
+    """A step that was replayed, and committed on the devices of all ranks.
 
-    index: int  #: from 0
-    rounds: int  #: of collision resolution
-    seconds: float  #: on the device
-    rank: int  #: this rank
+    Attributes:
+        index: of the step, from 0.
+        rounds: of collision resolution.
+        seconds: on the device.
+        rank: this rank.
+        counts: of the searches of all ranks.
+        summaries: (ranks, 10) int64: from `count_step`, then from `StepGraph.summarise`.
+    """
+
+    index: int
+    rounds: int
+    seconds: float
+    rank: int
     counts: GatheredCounts
-    summaries: Rows  #: (ranks, 6 + k): from `count_step`, then from `summarise`
+    summaries: Rows
+
+    @cached_property
+    def reports(self) -> Reports:
+        """Values of all ranks."""
+        return Reports.of(self.counts.work, self.summaries)
 
     @property
-    def work(self) -> Rows:
-        """(ranks, 6), see `pgccd.sim.tally.WORK`."""
-        return self.counts.work
+    def stop_requested(self) -> bool:
+        """Whether the run was asked to stop, on any rank."""
+        return bool(self.reports.stop.any())
+
+    @property
+    def loads(self) -> RankLoads:
+        """The ranks' loads, for balancing."""
+        return self.reports.loads
+
+    @property
+    def ghosts(self) -> int:
+        """Number of ghosts, over all ranks."""
+        return int(self.reports.ghosts.sum())
+
+    @property
+    def leaving(self) -> int:
+        """Number of robots in cells of other ranks, over all ranks."""
+        return int(self.reports.leaving.sum())
 
     @cached_property
     def record(self) -> dict[str, Any]:
-        """Its line in steps.jsonl. With several ranks the stages of detection are those of own pairs; the stage "halo"
-        is the time until the search of ghosts' pairs, concurrent with it, ends too. "respond" is everything else.
+        """Its line in steps.jsonl; of all ranks, and equal on all of them except for times. With several ranks the
+        stages of detection are those of own pairs; the stage "halo" is the time until the search of ghosts' pairs,
+        concurrent with it, ends too. "respond" is everything else.
         """
         own, *others = [Counts.of(numbers) for numbers in self.counts.of_passes[self.rank].tolist()]
         stages = own.seconds
@@ -70,12 +137,13 @@ class CommittedStep:
             stages = {"halo": 1e-9 * max(0, ended - own.narrow_ended)} | stages
         respond = max(0.0, self.seconds - sum(stages.values()))
         clock = StageClock.of(stages | {"respond": respond}, self.seconds)
-        return Tally.of(self.work, self.summaries[:, :COUNTED]).record(self.index, self.rounds, clock)
+        tally = Tally.of(self.reports.work, self.reports.counted)
+        return tally.record(self.index, self.rounds, clock) | self.reports.record(moved_cells=0)
 
 
 class StepGraph(TransactionGraph[CommittedStep]):
-    """One step as a CUDA graph, from a state in fixed memory to the next one. With many ranks, each has a graph, which
-    includes the messages between them.
+    """One step as a CUDA graph, from a state in fixed memory to the next one. Each rank has a graph, which includes the
+    messages between them.
 
     Args:
         model: the rules.
@@ -85,8 +153,8 @@ class StepGraph(TransactionGraph[CommittedStep]):
         plan: capacities of rounds.
         rounds: number of rounds of collision resolution.
         usual_rounds: of these, how many every replay runs; see `Attempt.run_replay`.
-        summarise: values to exchange besides those of `count_step`; default: none.
-        rows: number of rows for robots; those with negative ids are padding. Default: no padding.
+        summarise: values to exchange besides those of `count_step`, in the order of `Reports`.
+        rows: number of rows for robots; those with negative ids are padding.
     """
 
     def __init__(
@@ -97,9 +165,9 @@ class StepGraph(TransactionGraph[CommittedStep]):
         search: Search,
         plan: RoundPlan,
         rounds: int,
-        usual_rounds: int = 0,
-        summarise: Summarise | None = None,
-        rows: int | None = None,
+        usual_rounds: int,
+        summarise: Summarise,
+        rows: int,
     ) -> None:
         super().__init__(state.columns, index, _padding(state), rows)
         self._model, self._search, self._plan, self.rounds = model, search, plan, rounds
@@ -139,9 +207,8 @@ class StepGraph(TransactionGraph[CommittedStep]):
         fraction = attempt.fraction[: len(state)]
         plan = [getattr(planned, name) for name in PLANNED]
         ops.simulate_commit(list(state.columns.values()), plan, fraction, self._failed)
-        summary = [count_step(state, fraction, searches.id, *first_contacts_of(searches.passes))]
-        if self._summarise is not None:
-            summary.append(self._summarise(searches, state))
+        counted = count_step(state, fraction, searches.id, *first_contacts_of(searches.passes))
+        summary = [counted, self._summarise(searches, state)]
         self._index += 1 - self._failed
         self._passes, self._rank = len(searches.passes), exchange.rank
         values = [*counts.values(), *summary]

@@ -7,7 +7,7 @@ from typing import Any
 import torch
 
 from pgccd.checkpoint import files
-from pgccd.checkpoint.files import CheckpointError, Content
+from pgccd.checkpoint.files import CheckpointError
 from pgccd.checkpoint.stored import Index, Stored, has_checkpoint
 from pgccd.sim.model import ModelConfig, RobotState
 
@@ -117,31 +117,6 @@ def require_checkpoint(run_folder: Path, index: Index | None = None) -> StoredCh
     if found is None:
         raise FileNotFoundError(f"no checkpoint at {run_folder}")
     return found
-
-
-def save_checkpoint(run_folder: str | Path, checkpoint: Checkpoint, keep: int = files.KEEP) -> Path:
-    """Writes a checkpoint of one process to `run_folder`, and makes it the newest one; of the others the `keep` - 1
-    newest remain.
-
-    Returns:
-        Its folder.
-
-    Raises:
-        CheckpointError: it cannot be written; the previous one is kept.
-
-    Example:
-        >>> pgccd.sim.save_checkpoint("out/copy", pgccd.sim.load_checkpoint("out/try"))
-    """
-    root = Path(run_folder) / files.FOLDER
-    name = files.make_folder(root, KIND, checkpoint.steps_made)
-    tables = {ROBOTS: checkpoint.state.to("cpu").columns}
-    content = Content(KIND, checkpoint.steps_made, checkpoint.plain)
-    try:
-        entry = files.write_tables(root / name, 0, tables)
-        return files.publish(root, name, content, files.layout_of(tables), [entry], files.checked_keep(keep))
-    except CheckpointError:
-        files.discard(root, name)
-        raise
 
 
 def load_checkpoint(run_folder: str | Path) -> Checkpoint:

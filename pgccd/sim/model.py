@@ -259,11 +259,15 @@ class Model:
         return replace(state, **dict(zip(PLANNED, planned, strict=True)))
 
     def motion(self, state: RobotState, fraction: Tensor | None = None) -> RigidMotion:
-        """The motion of a planned state's step; or of a `fraction` (N,) of it, at constant velocities."""
+        """The motion of a planned state's step; or of a `fraction` (N,) of it, at constant velocities. Its values are
+        checked when it is used.
+        """
         velocity, spin = state.velocity, state.angular_velocity
         if fraction is not None:
             velocity, spin = fraction[:, None] * velocity, fraction[:, None] * spin
-        return RigidMotion.from_velocity(state.position, state.orientation, velocity, spin, dt=1.0)
+        motion = RigidMotion._of_checked(state.position, state.orientation, state.position + velocity, spin)
+        motion._is_trusted = False
+        return motion
 
     def affected_pairs(
         self,

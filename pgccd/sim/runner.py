@@ -7,25 +7,38 @@ import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import FrameType
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any
 
 import torch
 
 from pgccd.checkpoint.files import FOLDER, KEEP, checked_keep, require_writable
-from pgccd.checkpoint.lock import hold
 from pgccd.detection.broad import BroadPhase
+from pgccd.distributed.checkpoint.partition import load_partition, stored_kind
+from pgccd.distributed.checkpoint.reading import load_share, open_stored
+from pgccd.distributed.checkpoint.shared_folder import hold_together
+from pgccd.distributed.checkpoint.writing import CheckpointWriter
+from pgccd.distributed.comm.interface import Alone, Comm
+from pgccd.distributed.guard import collective
+from pgccd.distributed.launch.agreement import on_first, require_agreement, together
 from pgccd.geometry.digest import meshes_digest
 from pgccd.geometry.mesh import Mesh
-from pgccd.sim.checkpoint import Checkpoint, Header, load_checkpoint, require_checkpoint, save_checkpoint
+from pgccd.sim.captured import CommittedStep
+from pgccd.sim.checkpoint import KIND, ROBOTS, Header, StoredCheckpoint, require_checkpoint
+from pgccd.sim.gathering import gather_sample
 from pgccd.sim.hashing import state_hash
 from pgccd.sim.log import StepLog, iterate_log
 from pgccd.sim.model import Model, ModelConfig, RobotState
 from pgccd.sim.progress import Progress
-from pgccd.sim.replay import StepMaker
+from pgccd.sim.rank_options import RankOptions
 from pgccd.sim.run_folder import begin
+from pgccd.sim.simulation import Simulation
 from pgccd.sim.step import Step
+
+# Maximum number of robots gathered on one rank, some 0.3 GB with their contacts; a picture draws no more.
+_MOST_GATHERED = 1_000_000
 
 
 @dataclass
@@ -34,12 +47,13 @@ class Run:
 
     Attributes:
         model: the world.
-        state: the robots after the last step.
+        state: the robots after the last step: with `keep_steps` all robots on rank 0, or a sample of a very large
+            world; else this rank's own robots.
         steps_made: number of steps, those before a resumption included.
         folder: of the run; None on ranks other than 0.
         last_steps: the last steps, as many as were to be kept and were made in this process, oldest first.
         interrupted: whether a signal ended the run; a checkpoint was written.
-        one_in: `state` has one in this many robots; above 1 for very large worlds on many ranks.
+        one_in: `state` has one in this many robots.
     """
 
     model: Model
@@ -68,14 +82,17 @@ class Run:
                 yield record
 
 
+@partial(collective, name="sim.run")
 def run(
     config: ModelConfig,
     steps: int,
     folder: str | Path,
     *,
+    comm: Comm | None = None,
     meshes: Sequence[Mesh] | None = None,
     device: torch.device | str = "cpu",
     broad_phase: BroadPhase = "auto",
+    options: RankOptions | None = None,
     checkpoint_every: int = 0,
     progress: Progress | None = None,
     keep_steps: int = 1,
@@ -84,86 +101,106 @@ def run(
     keep: int = KEEP,
     notes: Mapping[str, Any] | None = None,
 ) -> Run:
-    """Simulates a world from its start and writes `world.json`, `steps.jsonl` and `checkpoints/` into a folder.
+    """Simulates a world from its start and writes `world.json`, `steps.jsonl` and `checkpoints/` into a folder, which
+    all ranks must share.
 
-    Ctrl-C (or SIGTERM) ends it after the current step, with a checkpoint; a second one ends it at once, keeping the
-    last checkpoint.
+    Ctrl-C (or SIGTERM), on any rank, ends it after the current step, with a checkpoint; a second one ends it at once,
+    keeping the last checkpoint.
 
     Args:
         config: the world.
         steps: number of steps.
         folder: created if missing; locked against other jobs.
+        comm: between the ranks; all of them call this with equal arguments. Default: one process, all robots.
         meshes: kinds of robots; default `robot_mesh()`.
-        device: of the computation. The result does not depend on it.
+        device: of the computation, of this rank. The result does not depend on it.
         broad_phase: as for `detect`.
+        options: of the distribution over ranks.
         checkpoint_every: steps between checkpoints; 0: one at the end only.
         progress: notified after every step.
-        keep_steps: number of last steps that are kept with their details, for pictures. On a GPU they are not replayed.
+        keep_steps: number of last steps that are kept with their details on rank 0, for pictures. On a GPU they are not
+            replayed. Of more than a million robots it is the last step of an even sample, whose size does not grow with
+            the world.
         graph: whether steps are replays of one CUDA graph. Default: on a GPU. The result does not depend on it.
         overwrite: whether to replace an earlier run in the folder.
         keep: number of checkpoints to keep: the newest ones.
         notes: additional plain values for `world.json`.
 
+    Returns:
+        The run; without its folder and records on ranks other than 0.
+
     Raises:
-        ValueError: naming the argument; also if the folder is in use, or holds a run, or cannot be written to.
+        ValueError: naming the argument; also if the folder is in use, or holds a run, or cannot be written to. On all
+            ranks.
 
     Example:
         >>> finished = pgccd.sim.run(pgccd.sim.ModelConfig(robots=1000), steps=10, folder="out/ten")
         >>> sum(record["contacts"] for record in finished.records)
     """
-    folder = Path(folder)
+    comm, folder, options = comm or Alone(), Path(folder), options or RankOptions()
     if steps < 0:
         raise ValueError(f"steps: expected a number >= 0, got {steps}")
-    model = Model(config, meshes, device)
-    with hold(folder):
-        begin(folder, model.describe() | dict(notes or {}), overwrite)
-        machine = _OneProcess(
-            model, model.start(), folder, broad_phase, graph, LastSteps(steps, keep_steps, Step), checked_keep(keep)
-        )
-        return _finish(machine, 0, steps, folder, checkpoint_every, progress)
+    model = together(comm, lambda: Model(config, meshes, device))
+    plan = _Plan(steps, folder, checkpoint_every, progress, keep_steps, keep)
+    plan.agree(comm, model, options)
+    with hold_together(comm, folder):
+        on_first(comm, lambda: begin(folder, model.describe() | dict(notes or {}), overwrite))
+        partition = options.cut(comm, model)
+        given = options.balance, options.overlap, broad_phase, graph
+        return plan.finish(Simulation.create(comm, model, partition, None, *given), 0)
 
 
+@partial(collective, name="sim.resume")
 def resume(
     folder: str | Path,
     steps: int | None = None,
     *,
+    comm: Comm | None = None,
     meshes: Sequence[Mesh] | None = None,
     device: torch.device | str = "cpu",
     broad_phase: BroadPhase = "auto",
+    options: RankOptions | None = None,
     checkpoint_every: int = 0,
     progress: Progress | None = None,
     keep_steps: int = 1,
     graph: bool | None = None,
     keep: int = KEEP,
 ) -> Run:
-    """Continues a run from its checkpoint, with the same result as without interruption.
+    """Continues a run from its newest checkpoint, on any number of ranks, with the same result as without interruption.
 
     Args:
         folder: of the run.
         steps: total number of steps; default: that of the run.
         meshes: of the run; default `robot_mesh()`.
-        device, broad_phase, checkpoint_every, progress, keep_steps, graph, keep: as for `run`.
+        comm, device, broad_phase, options, checkpoint_every, progress, keep_steps, graph, keep: as for `run`.
 
     Raises:
         FileNotFoundError: there is no checkpoint.
         ValueError: the checkpoint cannot be read, or does not match the meshes or the number of steps; or the folder is
-            in use.
+            in use. On all ranks.
 
     Example:
         >>> finished = pgccd.sim.resume("out/try", steps=20)
     """
-    folder = Path(folder)
-    require_checkpoint(folder)  # before anything is written to the folder
-    with hold(folder):
-        checkpoint = load_checkpoint(folder)
-        model, steps = continued(folder, checkpoint, steps, meshes, device)
-        state = checkpoint.state.to(model.device)
-        last_steps = LastSteps(steps, keep_steps, Step)
-        machine = _OneProcess(model, state, folder, broad_phase, graph, last_steps, checked_keep(keep))
-        return _finish(machine, checkpoint.steps_made, steps, folder, checkpoint_every, progress)
+    comm, folder, options = comm or Alone(), Path(folder), options or RankOptions()
+    on_first(comm, lambda: require_checkpoint(folder) and None)  # before anything is written to the folder
+    with hold_together(comm, folder):
+        stored = open_stored(comm, lambda index: require_checkpoint(folder, index))
+        model, steps = together(comm, lambda: _continued(folder, stored.run, steps, meshes, device))
+        plan = _Plan(steps, folder, checkpoint_every, progress, keep_steps, keep)
+        plan.agree(comm, model, options)
+        state = load_robots(comm, stored).to(model.device)
+        partition = load_partition(comm, stored, options.cut(comm, model, stored_kind(stored)))
+        given = options.balance, options.overlap, broad_phase, graph
+        return plan.finish(Simulation.create(comm, model, partition, state, *given), stored.run.steps_made)
 
 
-def continued(
+def load_robots(comm: Comm, stored: StoredCheckpoint) -> RobotState:
+    """An equal share of the robots of a checkpoint, on the CPU: see `load_share`."""
+    return RobotState(**load_share(comm, stored, ROBOTS)[ROBOTS])
+
+
+def _continued(
     folder: Path, header: Header, steps: int | None, meshes: Sequence[Mesh] | None, device: torch.device | str
 ) -> tuple[Model, int]:
     """The model of a resumed run, and its total number of steps.
@@ -180,52 +217,17 @@ def continued(
     return model, steps
 
 
-class HasRecord(Protocol):
-    """A step with a record for the log."""
-
-    @property
-    def record(self) -> dict[str, Any]:
-        """Its line in the log."""
-        ...
-
-
-class Machine(Protocol):
-    """Runs the steps of a run."""
-
-    def stops(self, requested: bool) -> bool:
-        """Whether to stop now, given whether this process received a request."""
-        ...
-
-    def step(self, index: int, more: int) -> HasRecord:
-        """Runs a step; `more` steps follow before the state is read."""
-        ...
-
-    def save(self, steps_made: int, steps_wanted: int) -> None:
-        """Starts to write a checkpoint."""
-        ...
-
-    def finish(self) -> None:
-        """Waits until the last checkpoint is complete."""
-        ...
-
-
-S = TypeVar("S")
-
-
-class LastSteps(Generic[S]):
+class _LastSteps:
     """The last steps of a run, with their details.
 
     Args:
         steps: total number of steps of the run.
         kept: how many are kept.
-        eager: type of steps with details; those replayed have another.
     """
 
-    def __init__(self, steps: int, kept: int, eager: type[S]) -> None:
-        if kept < 0:
-            raise ValueError(f"keep_steps: expected a number >= 0, got {kept}")
-        self._first, self._kept, self._eager = steps - kept, kept, eager
-        self.steps: list[S] = []
+    def __init__(self, steps: int, kept: int) -> None:
+        self._first, self._kept = steps - kept, kept
+        self.steps: list[Step] = []
 
     def replayed_after(self, index: int, more: int) -> int:
         """Number of steps that follow step `index` before details of one are read, if `more` follow before the state
@@ -233,99 +235,111 @@ class LastSteps(Generic[S]):
         """
         return min(more, max(0, self._first - index))
 
-    def add(self, made: object) -> None:
-        """Records a step."""
-        if not isinstance(made, self._eager):
+    def add(self, made: Step | CommittedStep) -> None:
+        """Records a step; replayed ones have no details."""
+        if not isinstance(made, Step):
             self.steps = []
             return
         self.steps = [*self.steps, made][max(0, len(self.steps) + 1 - self._kept) :]
 
 
-class _OneProcess:
-    """All robots in this process. On a GPU consecutive steps are replays of one CUDA graph."""
+@dataclass
+class _Plan:
+    """What is to be done with the steps of a run: arguments as for `run`."""
 
-    def __init__(
-        self,
-        model: Model,
-        state: RobotState,
-        folder: Path,
-        broad_phase: BroadPhase,
-        graph: bool | None,
-        last_steps: LastSteps[Step],
-        keep: int,
-    ) -> None:
-        self.model, self.state, self._folder, self._keep = model, state, folder, keep
-        self._digest = meshes_digest(model.meshes.meshes)
-        self._steps = StepMaker(model, state, broad_phase, graph)
-        self._stopping = False
-        self.last_steps = last_steps
+    steps: int
+    folder: Path
+    checkpoint_every: int
+    progress: Progress | None
+    keep_steps: int
+    keep: int
+
+    def agree(self, comm: Comm, model: Model, options: RankOptions) -> None:
+        """Raises ValueError on all ranks if an argument is wrong or differs between ranks."""
+        if self.keep_steps < 0:
+            raise ValueError(f"keep_steps: expected a number >= 0, got {self.keep_steps}")
+        if self.checkpoint_every < 0:
+            raise ValueError(f"checkpoint_every: expected a number >= 0, got {self.checkpoint_every}")
+        together(comm, lambda: checked_keep(self.keep))
+        facts = {"configuration": model.config, "steps": self.steps, "folder": str(self.folder), "options": options}
+        facts |= {"checkpoint_every": self.checkpoint_every, "keep_steps": self.keep_steps, "keep": self.keep}
+        facts |= {"device": model.device.type}
+        facts |= {"meshes": meshes_digest(model.meshes.meshes), "transport": comm.transport}
+        require_agreement(comm, facts)
+
+    def finish(self, simulation: Simulation, made: int) -> Run:
+        """Runs the steps after those `made` until all are, or a signal arrives; then writes a checkpoint."""
+        comm, model, folder = simulation.comm, simulation.model, self.folder
+        one_in = -(-model.config.robots // _MOST_GATHERED) if self.keep_steps else 1
+        last_steps = _LastSteps(self.steps, min(self.keep_steps, 1) if one_in > 1 else self.keep_steps)
+        signed = (state_hash(simulation.state) + 2**63) % 2**64 - 2**63
+        total = int(comm.sum(torch.tensor([signed]))) % 2**64
+        together(comm, lambda: require_writable(folder / FOLDER))
+        log = together(comm, lambda: StepLog(folder, made, f"{total:016x}") if comm.rank == 0 else None)
+        made = self._drive(_Machine(simulation, folder, last_steps, self.keep), log, made)
+        comm.barrier()  # rank 0 has completed the last checkpoint
+        state, shown = simulation.state, list[Step]()
+        if self.keep_steps:
+            state, shown = gather_sample(comm, state, last_steps.steps, one_in)
+        of_first = None if log is None else folder
+        return Run(model, state, made, of_first, shown, interrupted=made < self.steps, one_in=one_in)
+
+    def _drive(self, machine: _Machine, log: StepLog | None, made: int) -> int:
+        """Runs the steps, given the log on rank 0, which is closed at the end. Returns the total number made."""
+        steps, every = self.steps, self.checkpoint_every
+        with log or nullcontext(), _stop_requests() as stop:
+            with _DelayedLog(log, self.progress) as lines:
+                while made < steps and not machine.stops(stop.is_set()):
+                    until = steps if not every else min(steps, -(-(made + 1) // every) * every)
+                    lines.add(machine.step(made, more=until - made - 1))
+                    made += 1
+                    if made == until < steps:
+                        lines.sync()
+                        machine.save(made, steps)
+                lines.sync()  # a checkpoint is never ahead of the log
+            machine.save(made, steps)
+            machine.finish()
+        return made
+
+
+class _Machine:
+    """A simulation that stops on request, keeps its last steps and writes checkpoints."""
+
+    def __init__(self, simulation: Simulation, folder: Path, last_steps: _LastSteps, keep: int) -> None:
+        self._simulation, self._last_steps = simulation, last_steps
+        self._digest = meshes_digest(simulation.model.meshes.meshes)
+        self._checkpoints = CheckpointWriter(simulation.comm, folder, KIND, keep)
+        self._asked = False  # on this rank
+        self._stopping: bool | None = None  # on all ranks; None before the first step
 
     def stops(self, requested: bool) -> bool:
-        self._stopping = requested
-        return requested and not self._steps.is_ahead
+        """Whether to stop now, given whether this process received a request."""
+        comm = self._simulation.comm
+        # All of several ranks get the request at the end of the next step.
+        self._asked = requested
+        if self._stopping is None or comm.size == 1:
+            self._stopping = comm.any(requested)
+        return self._stopping and not self._simulation.is_ahead
 
-    def step(self, index: int, more: int) -> HasRecord:
-        made = self._steps.step(index, 0 if self._stopping else self.last_steps.replayed_after(index, more))
-        self.last_steps.add(made)
-        if not more:
-            self.state = self._steps.state
+    def step(self, index: int, more: int) -> Step | CommittedStep:
+        """Runs a step; `more` steps follow before the state is read."""
+        more = 0 if self._stopping else self._last_steps.replayed_after(index, more)
+        made = self._simulation.step(index, self._asked, more)
+        self._stopping = self._stopping or made.stop_requested
+        self._last_steps.add(made)
         return made
 
     def save(self, steps_made: int, steps_wanted: int) -> None:
-        self.state = self._steps.state
-        checkpoint = Checkpoint(self.model.config, steps_made, steps_wanted, self._digest, self.state)
-        save_checkpoint(self._folder, checkpoint, self._keep)
+        """Starts to write a checkpoint."""
+        simulation = self._simulation
+        simulation.verify()
+        header = Header(simulation.model.config, steps_made, steps_wanted, self._digest)
+        tables = {ROBOTS: simulation.state.columns}
+        self._checkpoints.begin(steps_made, header.plain, tables, simulation.partition)
 
     def finish(self) -> None:
-        pass
-
-
-def _finish(
-    machine: _OneProcess, made: int, steps: int, folder: Path, checkpoint_every: int, progress: Progress | None
-) -> Run:
-    require_writable(folder / FOLDER)
-    log = StepLog(folder, made, f"{state_hash(machine.state):016x}")
-    made = drive(machine, log, made, steps, checkpoint_every, progress)
-    return Run(machine.model, machine.state, made, folder, machine.last_steps.steps, interrupted=made < steps)
-
-
-def drive(
-    machine: Machine,
-    log: StepLog | None,
-    steps_made: int,
-    steps: int,
-    checkpoint_every: int,
-    progress: Progress | None,
-) -> int:
-    """Runs steps until `steps` are made or a signal arrives; then writes a checkpoint.
-
-    Args:
-        machine: runs the steps.
-        log: closed at the end; None if another process writes it.
-        steps_made: number of steps made so far.
-        steps: total number.
-        checkpoint_every: steps between checkpoints; 0: one at the end only.
-        progress: notified after every step.
-
-    Returns:
-        The total number of steps made.
-    """
-    if checkpoint_every < 0:
-        raise ValueError(f"checkpoint_every: expected a number >= 0, got {checkpoint_every}")
-    every = checkpoint_every
-    with log or nullcontext(), _stop_requests() as stop:
-        with _DelayedLog(log, progress) as lines:
-            while steps_made < steps and not machine.stops(stop.is_set()):
-                until = steps if not checkpoint_every else min(steps, -(-(steps_made + 1) // every) * every)
-                lines.add(machine.step(steps_made, more=until - steps_made - 1))
-                steps_made += 1
-                if steps_made == until < steps:
-                    lines.sync()
-                    machine.save(steps_made, steps)
-            lines.sync()  # a checkpoint is never ahead of the log
-        machine.save(steps_made, steps)
-        machine.finish()
-    return steps_made
+        """Waits until the last checkpoint is complete."""
+        self._checkpoints.finish()
 
 
 class _DelayedLog:
@@ -338,9 +352,9 @@ class _DelayedLog:
 
     def __init__(self, log: StepLog | None, progress: Progress | None) -> None:
         self._log, self._progress = log, progress
-        self._last: HasRecord | None = None
+        self._last: Step | CommittedStep | None = None
 
-    def add(self, step: HasRecord) -> None:
+    def add(self, step: Step | CommittedStep) -> None:
         """Writes the line of the previous step."""
         self.finish()
         self._last = step

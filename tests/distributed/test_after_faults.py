@@ -18,7 +18,7 @@ from support.forked_job import ForkedJob
 import pgccd
 from pgccd import sim
 from pgccd.distributed import Comm
-from pgccd.sim.distributed import resume
+from pgccd.sim import resume
 
 RANKS = 3
 DIED = r"pgccd: rank \d \(process \d+ on \S+\) has died"
@@ -56,7 +56,7 @@ def expected(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[str, str]]:
 
 
 def go_on(comm: Comm, folder: str) -> int:
-    return resume(comm, folder).steps_made
+    return resume(folder, comm=comm).steps_made
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from pgccd.distributed.comm.exchange import Columns, take_rows
 from pgccd.distributed.halo import migrate
 from pgccd.distributed.halo.migrate import Census
 from pgccd.distributed.world import world as world_module
-from pgccd.sim.distributed import DistributedSimulation, starting_share
+from pgccd.sim import Simulation, starting_share
 
 COUNT = 12
 
@@ -82,7 +82,7 @@ def test_a_simulation_notices() -> None:
     for rows in (torch.arange(39), torch.cat([torch.arange(40), torch.tensor([39])])):
         comm = Alone()
         partition = Cells.uniform(tuple(-x for x in upper), upper, 1, cells=2)
-        simulation = DistributedSimulation.create(comm, world, partition, starting_share(comm, world))
+        simulation = Simulation.create(comm, world, partition, starting_share(comm, world))
         simulation.step(0)
         simulation.state = sim.RobotState(**take_rows(simulation.state.columns, rows))
         with pytest.raises(RuntimeError, match="expected 40 bodies"):

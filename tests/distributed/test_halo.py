@@ -24,7 +24,7 @@ from pgccd.distributed.detection.options import PassEstimates, SearchOptions
 from pgccd.distributed.detection.share import Share, search_share
 from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.motion import columns as motion_columns
-from pgccd.sim.distributed import DistributedSimulation, starting_share
+from pgccd.sim import Simulation, starting_share
 
 
 def touching_spheres(seed: int, offset: float, separation: float) -> list[torch.Tensor]:
@@ -125,7 +125,7 @@ def test_bodies_of_columns_are_those_of_scene_and_motion(path: Any) -> None:
 def test_ghosts_of_the_simulation_move_as_robots() -> None:
     model = sim.Model(sim.ModelConfig(robots=50, speed=0.3, spin=0.5))
     partition = Cells.uniform((-1.0,) * 3, (1.0,) * 3, 1)
-    simulation = DistributedSimulation.create(Alone(), model, partition, starting_share(Alone(), model))
+    simulation = Simulation.create(Alone(), model, partition, starting_share(Alone(), model))
     planned = model.plan(model.start(), 3)
     found = simulation._complete(planned.moving_columns)
     expected = model.motion(planned).columns() | {"mesh_index": model.scene(planned.id).mesh_index}
@@ -159,7 +159,7 @@ def spoil(comm: Comm) -> None:
     model = sim.Model(sim.ModelConfig(robots=60))
     half = model.half_extent
     partition = Cells.uniform(tuple(-x for x in half), half, comm.size, cells=2)
-    simulation = DistributedSimulation.create(comm, model, partition, starting_share(comm, model))
+    simulation = Simulation.create(comm, model, partition, starting_share(comm, model))
     if comm.rank == comm.size - 1:
         simulation.state.position[3, 1] = torch.nan
         with pytest.raises(ValueError, match="^position: body 3|^position_t0: body 3"):

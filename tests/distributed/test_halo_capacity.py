@@ -20,7 +20,7 @@ from pgccd.distributed.halo.ghosts import Halo
 from pgccd.distributed.halo.held import Held
 from pgccd.distributed.halo.sizes import HaloSizes
 from pgccd.distributed.steps import rank
-from pgccd.sim.distributed import DistributedSimulation, starting_share
+from pgccd.sim import Simulation, starting_share
 
 CAPACITIES = ["ample", "usual", "exact", "none", "boundary"]
 
@@ -61,7 +61,7 @@ def by_ranks(comm: Comm, capacities: str) -> tuple[list[dict[str, Any]], list[bo
     with ExitStack() as stack:
         for patch in patches:
             stack.enter_context(patch)
-        simulation = DistributedSimulation.create(comm, model, partition, starting_share(comm, model))
+        simulation = Simulation.create(comm, model, partition, starting_share(comm, model))
         records = [without_times(simulation.step(index).record) for index in range(STEPS)]
     return records, enough
 

@@ -9,6 +9,7 @@ import pytest
 import torch
 from support.crowds import Crowd, crowds
 from support.same_bits import assert_same
+from support.steps import step_of
 
 import pgccd
 from distributed.conftest import World
@@ -67,7 +68,7 @@ def compare_robots(comm: Comm, pattern: str) -> int:
     mine = torch.arange(begin, end)
     baseline = PCCCD.create(model.meshes.meshes, comm=comm)
     for index in range(8):
-        step = sim.make_step(model, scene, state, index)
+        step = step_of(model, state, index)
         state, whole = step.after, step.contacts
         before = sim.RobotState(**{name: column[mine] for name, column in step.before.columns.items()})
         motion = model.motion(before)

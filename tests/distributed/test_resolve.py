@@ -46,7 +46,9 @@ def alone(seed: int) -> tuple[Columns, Columns]:
 
 
 @pytest.mark.filterwarnings("ignore:scene. it has one body")
-@pytest.mark.parametrize("size", [1, pytest.param(2, marks=pytest.mark.slow), 3, pytest.param(4, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "size", [1, pytest.param(2, marks=pytest.mark.slow), 3, pytest.param(4, marks=pytest.mark.slow)]
+)
 def test_random_scenes(ranks: RankPool, size: int) -> None:
     answers = ranks.run(size, resolve_scenes, SEEDS, "cpu")
     seen = dict.fromkeys(("stopped", "touching_at_start", "unresolved", "rounds"), 0)

@@ -22,11 +22,11 @@ from pgccd.distributed.checkpoint import shared_folder
 from pgccd.distributed.checkpoint.partition import load_partition
 from pgccd.distributed.checkpoint.shared_folder import sees_mark
 from pgccd.distributed.partition.cut import PARTITIONS, make_partition
+from pgccd.sim import RankOptions, Simulation, resume, run, runner
 from pgccd.sim.checkpoint import require_checkpoint
-from pgccd.sim.distributed import DistributedOptions, DistributedSimulation, resume, run, runner
-from pgccd.sim.distributed.runner import load_robots
 from pgccd.sim.pictures import write_pictures
 from pgccd.sim.response import respond
+from pgccd.sim.runner import load_robots
 
 CONFIG = sim.ModelConfig(robots=240, pattern="skewed", speed=0.25, seed=5)
 
@@ -36,8 +36,8 @@ EAGER = BalanceOptions("cost", start=0.0, goal=0.0, moving=0.0, deciding=0.0)
 
 def go_on(comm: Comm, folder: str, kind: str = "cells") -> list[dict[str, Any]]:
     """Six steps, then two more; returns the log."""
-    options = DistributedOptions(kind, cells=4, balance=EAGER)
-    run(comm, CONFIG, 6, folder, options=options)
+    options = RankOptions(kind, cells=4, balance=EAGER)
+    run(CONFIG, 6, folder, options=options, comm=comm)
     stored = require_checkpoint(Path(folder))
     half = sim.Model(CONFIG).half_extent
     start = make_partition(kind, tuple(-x for x in half), half, comm.size, 3, 4, torch.device("cpu"))
@@ -50,15 +50,15 @@ def go_on(comm: Comm, folder: str, kind: str = "cells") -> list[dict[str, Any]]:
     for other in others:
         assert load_partition(comm, stored, other) is other
 
-    began, create = [], DistributedSimulation.create
+    began, create = [], Simulation.create
 
-    def begin(comm: Comm, model: sim.Model, partition: Partition, *rest: Any) -> DistributedSimulation:
+    def begin(comm: Comm, model: sim.Model, partition: Partition, *rest: Any) -> Simulation:
         began.append(partition)
         return create(comm, model, partition, *rest)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(DistributedSimulation, "create", begin)
-        finished = resume(comm, folder, 8, options=options)
+        patch.setattr(Simulation, "create", begin)
+        finished = resume(folder, 8, options=options, comm=comm)
     assert torch.equal(getattr(began[0], name), kept)
     return finished.records
 
@@ -72,19 +72,19 @@ def test_the_partition_is_kept(ranks: World, tmp_path: Path, kind: str) -> None:
 
 def kinds_when_resumed(comm: Comm, folder: str, kind: str) -> list[str]:
     """Three steps with one kind of partition, then one more with each of these options; the kinds used."""
-    run(comm, CONFIG, 3, folder, options=DistributedOptions(kind))
-    options = [DistributedOptions(), DistributedOptions("cells"), DistributedOptions("bisection")]
-    options += [DistributedOptions(cells=5), DistributedOptions(balance=BalanceOptions("one-cell"))]
-    began, create = [], DistributedSimulation.create
+    run(CONFIG, 3, folder, options=RankOptions(kind), comm=comm)
+    options = [RankOptions(), RankOptions("cells"), RankOptions("bisection")]
+    options += [RankOptions(cells=5), RankOptions(balance=BalanceOptions("one-cell"))]
+    began, create = [], Simulation.create
 
-    def begin(comm: Comm, model: sim.Model, partition: Partition, *rest: Any) -> DistributedSimulation:
+    def begin(comm: Comm, model: sim.Model, partition: Partition, *rest: Any) -> Simulation:
         began.append(type(partition).__name__)
         return create(comm, model, partition, *rest)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(DistributedSimulation, "create", begin)
+        patch.setattr(Simulation, "create", begin)
         for step, option in enumerate(options):
-            resume(comm, folder, 4 + step, options=option)
+            resume(folder, 4 + step, options=option, comm=comm)
     return began
 
 
@@ -121,8 +121,8 @@ def test_any_number_of_ranks_reads_what_another_wrote(ranks: World, tmp_path: Pa
 
 def go_on_as(comm: Comm, folder: str, kind: str) -> list[dict[str, Any]]:
     """Two more steps on another number of ranks; returns the log."""
-    options = DistributedOptions(kind, cells=4, balance=EAGER)
-    return resume(comm, folder, 10, options=options).records
+    options = RankOptions(kind, cells=4, balance=EAGER)
+    return resume(folder, 10, options=options, comm=comm).records
 
 
 @pytest.mark.parametrize("kind", PARTITIONS)
@@ -237,7 +237,7 @@ def test_partition_headers_that_were_planted(ranks: World, tmp_path: Path) -> No
 def see(comm: Comm, folder: str) -> str:
     """The error of a rank with a separate folder."""
     try:
-        run(comm, CONFIG, 1, Path(folder) / str(comm.rank))
+        run(CONFIG, 1, Path(folder) / str(comm.rank), comm=comm)
     except ValueError as error:
         return str(error)
     return ""
@@ -251,7 +251,7 @@ def test_a_folder_that_ranks_do_not_share(ranks: World, tmp_path: Path) -> None:
 def see_at_once(comm: Comm, folder: str) -> str:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(shared_folder, "sees_mark", lambda folder, name: sees_mark(folder, name, within=0.2))
-        patch.setattr(runner, "_compare", lambda *_: None)
+        patch.setattr(runner._Plan, "agree", lambda *_: None)
         return see(comm, folder)
 
 
@@ -259,7 +259,7 @@ def draw(comm: Comm, folder: str) -> tuple[int, list[int], list[list[int]]]:
     """Pictures of a world too large for one rank: the sample, and its contacts by ids."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(runner, "_MOST_GATHERED", 100)
-        finished = run(comm, CONFIG, 6, folder, keep_steps=3)
+        finished = run(CONFIG, 6, folder, keep_steps=3, comm=comm)
     (step,) = finished.last_steps  # of a sample only one
     assert torch.equal(step.after.id, step.before.id)
     assert torch.equal(respond(step.before, step.resolution.fraction).position, step.after.position)
@@ -281,7 +281,7 @@ def test_large_worlds_are_drawn_from_a_sample(ranks: World, tmp_path: Path) -> N
 
 
 def keep(comm: Comm, folder: str) -> list[list[list[object]]]:
-    finished = run(comm, CONFIG, 9, folder, keep_steps=4)
+    finished = run(CONFIG, 9, folder, keep_steps=4, comm=comm)
     return [of_step(step) for step in finished.last_steps]
 
 

@@ -10,6 +10,7 @@ from typing import Any
 from unittest import mock
 
 import pytest
+from support.steps import step_of
 
 from distributed.conftest import World
 from pgccd import sim
@@ -17,7 +18,7 @@ from pgccd.detection import passes as passes_module
 from pgccd.detection.capacity import EXACTLY, Capacity
 from pgccd.detection.passes import SearchPass
 from pgccd.distributed import Cells, Comm
-from pgccd.sim.distributed import DistributedSimulation, starting_share
+from pgccd.sim import Simulation, starting_share
 
 CONFIG = sim.ModelConfig(robots=150, speed=0.3, spin=0.5, seed=3)
 STEPS = 14
@@ -39,9 +40,8 @@ def without_times(record: dict[str, Any]) -> dict[str, Any]:
 def by_one_process() -> list[dict[str, Any]]:
     model = sim.Model(CONFIG)
     state, records = model.start(), []
-    scene = model.scene(state.id)
     for index in range(STEPS):
-        step = sim.make_step(model, scene, state, index)
+        step = step_of(model, state, index)
         state = step.after
         records.append(without_times(step.record))
     return records
@@ -79,7 +79,7 @@ def by_ranks(comm: Comm, capacity: str) -> tuple[list[dict[str, Any]], int, int]
         "SearchPass": Watched,
     }
     with mock.patch.multiple(passes_module, **patches):
-        simulation = DistributedSimulation.create(comm, model, partition, starting_share(comm, model))
+        simulation = Simulation.create(comm, model, partition, starting_share(comm, model))
         made = [simulation.step(index) for index in range(STEPS)]
     records = [without_times(step.record) for step in made]
     for step in made:
@@ -104,7 +104,7 @@ def leave_no_garbage(comm: Comm) -> None:
     model = sim.Model(CONFIG)
     half = model.half_extent
     partition = Cells.uniform(tuple(-x for x in half), half, comm.size, cells=2)
-    simulation = DistributedSimulation.create(comm, model, partition, starting_share(comm, model))
+    simulation = Simulation.create(comm, model, partition, starting_share(comm, model))
     made: list[weakref.ref[SearchPass]] = []
 
     class Watched(SearchPass):

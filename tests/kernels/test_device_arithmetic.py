@@ -16,6 +16,7 @@ import torch
 from support.deforming import crumpled, motion_of
 from support.rollouts import tumbling
 from support.shapes import approaching
+from support.steps import step_of
 from torch.utils._python_dispatch import TorchDispatchMode
 
 import pgccd
@@ -137,9 +138,8 @@ def distributed() -> None:
 def simulation() -> None:
     model = sim.Model(sim.ModelConfig(robots=60, pattern="random", spacing=2.05, speed=0.15))
     state = model.start()
-    scene = model.scene(state.id)
     for index in range(3):
-        state = sim.make_step(model, scene, state, index).after
+        state = step_of(model, state, index).after
 
 
 CALLS = {

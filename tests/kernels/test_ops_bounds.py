@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 import torch
 from support.forked_job import ForkedJob
+from support.steps import step_of
 
 # Operator, argument (and list element), name in the error message: indices that must be validated.
 INDICES = [
@@ -81,9 +82,9 @@ def calls() -> dict[str, tuple[Any, ...]]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(ops.library, "operators", recorder)
         model = sim.Model(sim.ModelConfig(robots=60, speed=0.4))
-        scene, state = model.scene(torch.arange(60)), model.start()
+        state = model.start()
         for index in range(6):
-            state = sim.make_step(model, scene, state, index).after
+            state = step_of(model, state, index).after
         ops.simulate_hash([state.id, state.position])
         ops.random_uniforms(state.id, 1, 2, 3)
         plan = state.velocity, state.angular_velocity, state.target, state.stay_until

@@ -68,7 +68,7 @@ MUTANTS = [
     ),
     Mutant(
         "distributed-simulation-without-census",
-        "pgccd/sim/distributed/simulation.py",
+        "pgccd/sim/simulation.py",
         "Census(tally.robots, tally.id_hash).require(self._expected)",
         "pass",
         ("distributed/test_census.py",),

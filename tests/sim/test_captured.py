@@ -10,14 +10,17 @@ import pytest
 import torch
 from support.capacities import ON_GPU
 from support.graphs import graphs_on
+from support.steps import alone, step_of
 
 from pgccd.detection import pipeline
 from pgccd.detection.capacity import BufferSizes
+from pgccd.distributed import Alone
+from pgccd.distributed.detection.options import PassEstimates
 from pgccd.resolution.round_plan import RoundPlan
 from pgccd.runtime import replayed_steps, transaction
-from pgccd.sim import Model, ModelConfig, RobotState, StepMaker, StepPlan, make_step, replay
-from pgccd.sim.captured import CommittedStep, StepGraph
-from pgccd.sim.step import Step
+from pgccd.sim import CommittedStep, Model, ModelConfig, RobotState, Simulation, Step, captured
+from pgccd.sim import simulation as simulation_module
+from pgccd.sim.captured import RecentRounds, StepGraph
 
 FAST: dict[str, Any] = {"robots": 150, "speed": 0.3, "spin": 0.5, "seed": 3}
 STEPS = 40
@@ -33,7 +36,7 @@ def graphs(device: torch.device, monkeypatch: pytest.MonkeyPatch) -> Iterator[li
             made.append(super().capture())
             return self
 
-    monkeypatch.setattr(replay, "StepGraph", Watched)
+    monkeypatch.setattr(simulation_module, "StepGraph", Watched)
     with graphs_on(device):
         yield made
 
@@ -44,13 +47,22 @@ def without_times(record: dict[str, Any]) -> dict[str, Any]:
 
 
 def run_eagerly(model: Model, steps: int) -> tuple[list[dict[str, Any]], RobotState]:
-    state, records = model.start(), []
-    scene = model.scene(state.id)
-    for index in range(steps):
-        step = make_step(model, scene, state, index)
-        state = step.after
-        records.append(without_times(step.record))
-    return records, state
+    simulation = alone(model)
+    records = [without_times(simulation.step(index).record) for index in range(steps)]
+    return records, simulation.state
+
+
+def graph_of(model: Model, state: RobotState, index: int, rounds: int) -> StepGraph:
+    """The graph of a step from this state, with so many rounds."""
+    simulation = alone(model, state, graph=True)
+    simulation.step(index)  # its sizes are learned
+    simulation.state, simulation._recent = state, RecentRounds()
+    simulation._recent.note(rounds - 1)
+    return simulation._make_graph(index).capture()
+
+
+def without_padding(graph: StepGraph, count: int) -> RobotState:
+    return graph.state.map(lambda column: column[:count])
 
 
 def same(found: RobotState, expected: RobotState) -> bool:
@@ -61,17 +73,17 @@ def same(found: RobotState, expected: RobotState) -> bool:
 def test_same_steps(device: torch.device, graphs: list[StepGraph], pattern: str) -> None:
     model = Model(ModelConfig(pattern=pattern, **FAST), device=device)
     expected, last = run_eagerly(model, STEPS)
-    maker = StepMaker(model, model.start(), graph=True)
+    simulation = alone(model, graph=True)
     kinds = []
     for index in range(STEPS):
         # In step 19 the state is read, as for a checkpoint.
         more = (19 if index < 20 else STEPS - 1) - index
-        made = maker.step(index, more)
+        made = simulation.step(index, more=more)
         kinds.append(type(made))
         assert without_times(made.record) == expected[index]
         assert made.record["stage_seconds"].keys() >= {"broad", "traverse", "narrow", "respond"}
-        assert maker.is_ahead <= (more > 1)
-    assert same(maker.state, last)
+        assert simulation.is_ahead <= (more > 1)
+    assert same(simulation.state, last)
     assert kinds[0] is kinds[19] is kinds[-1] is Step and kinds.count(CommittedStep) > STEPS // 2
     # Steps that need more rounds run eagerly, and a graph with more rounds is captured.
     rounds = [graph.rounds for graph in graphs]
@@ -81,37 +93,37 @@ def test_same_steps(device: torch.device, graphs: list[StepGraph], pattern: str)
 
 def test_a_graph_goes_on_from_a_checkpoint(device: torch.device, graphs: list[StepGraph]) -> None:
     model = Model(ModelConfig(**FAST | {"speed": 0.0, "spin": 0.0}), device=device)
-    maker = StepMaker(model, model.start(), graph=True)
-    kinds = [type(maker.step(index, (9 if index < 10 else 19) - index)) for index in range(20)]
+    simulation = alone(model, graph=True)
+    kinds = [type(simulation.step(index, more=(9 if index < 10 else 19) - index)) for index in range(20)]
     assert kinds == [Step, *[CommittedStep] * 8, Step] + [CommittedStep] * 9 + [Step] and len(graphs) == 1
 
 
 def test_a_step_that_fails_changes_nothing(device: torch.device, graphs: list[StepGraph]) -> None:
     """Steps enqueued after it change nothing either."""
     model = Model(ModelConfig(**FAST), device=device)
-    state, scene, plan = model.start(), model.scene(model.start().id), StepPlan()
-    index = 0
+    state, index = model.start(), 0
     while True:
-        before, made = state, make_step(model, scene, state, index, plan=plan)
+        before, made = state, step_of(model, state, index)
         state = made.after
         if made.resolution.rounds > 1:
             break
         index += 1
-    graph = replay.make_step_graph(model, before, index, "auto", plan, made.resolution.rounds - 1).capture()
+    graph = graph_of(model, before, index, made.resolution.rounds - 1)
     for _ in range(2):
         assert graph.replay().read(index) is None
-        assert same(graph.state, before)
-    enough = replay.make_step_graph(model, before, index, "auto", plan, made.resolution.rounds).capture()
+        assert same(without_padding(graph, len(state)), before)
+    enough = graph_of(model, before, index, made.resolution.rounds)
     committed = enough.replay().read(index)
-    assert committed is not None and committed.rounds == made.resolution.rounds and same(enough.state, state)
+    assert committed is not None and committed.rounds == made.resolution.rounds
+    assert same(without_padding(enough, len(state)), state)
     assert without_times(committed.record) == without_times(made.record)
     # It continues from there; so does the failed one once its state is loaded.
-    following = make_step(model, scene, state, index + 1, plan=plan)
+    following = step_of(model, state, index + 1)
     graph.load(state.columns, index + 1)
     for each in (graph, enough):
         committed = each.replay().read(index + 1)
         assert (committed is not None) == (following.resolution.rounds <= each.rounds)
-        assert same(each.state, state if committed is None else following.after)
+        assert same(without_padding(each, len(state)), state if committed is None else following.after)
 
 
 @pytest.mark.parametrize("lacking", ["round", "step"])
@@ -121,29 +133,27 @@ def test_too_little_capacity(
 ) -> None:
     model = Model(ModelConfig(**FAST | {"robots": 20_000}), device=device)
     expected, last = run_eagerly(model, 12)
-    maker = StepMaker(model, model.start())
-    make_graph = replay.make_step_graph
+    simulation = Simulation.create(Alone(), model)
+    graph_of_step = Simulation._graph_of
 
-    def make_tight(model: Any, state: Any, index: Any, broad_phase: Any, plan: StepPlan, *rounds: int) -> StepGraph:
+    def make_tight(simulation: Simulation, *arguments: Any) -> StepGraph:
         if not graphs:
-            tight = StepPlan()
             little = BufferSizes(10, 10)
             if lacking == "step":
-                tight.pairs.learn(20_000, little)
-                tight.rounds = plan.rounds
+                simulation._rank.estimates = PassEstimates()
+                simulation._rank.estimates.own.learn(20_000, little)
             else:
-                tight.pairs, tight.rounds = plan.pairs, RoundPlan()
-                tight.rounds._capacities = [little]
-            plan = tight
-        return make_graph(model, state, index, broad_phase, plan, *rounds)
+                simulation._plan = RoundPlan()
+                simulation._plan._capacities = [little]
+        return graph_of_step(simulation, *arguments)
 
-    monkeypatch.setattr(replay, "make_step_graph", make_tight)
+    monkeypatch.setattr(Simulation, "_graph_of", make_tight)
     kinds = []
     for index in range(12):
-        made = maker.step(index, 11 - index)
+        made = simulation.step(index, more=11 - index)
         kinds.append(type(made))
         assert without_times(made.record) == expected[index]
-    assert kinds[1] is Step and CommittedStep in kinds and len(graphs) > 1 and same(maker.state, last)
+    assert kinds[1] is Step and CommittedStep in kinds and len(graphs) > 1 and same(simulation.state, last)
 
 
 @pytest.mark.parametrize("device", ON_GPU, indirect=True)
@@ -153,69 +163,69 @@ def test_a_graph_uses_more_memory_than_eager_steps_may(
     model = Model(ModelConfig(**FAST), device=device)
     expected, last = run_eagerly(model, 12)
     monkeypatch.setattr(pipeline, "memory_limit", lambda budget, *_: budget or 1)
-    maker = StepMaker(model, model.start())
-    made = [maker.step(index, 11 - index) for index in range(12)]
-    assert [without_times(step.record) for step in made] == expected and same(maker.state, last)
+    simulation = Simulation.create(Alone(), model)
+    made = [simulation.step(index, more=11 - index) for index in range(12)]
+    assert [without_times(step.record) for step in made] == expected and same(simulation.state, last)
     assert sum(type(step) is CommittedStep for step in made) > 6
 
 
 def test_an_invalid_state(device: torch.device, graphs: list[StepGraph]) -> None:
     model = Model(ModelConfig(**FAST), device=device)
-    maker = StepMaker(model, model.start(), graph=True)
+    simulation = alone(model, graph=True)
     for index in range(3):
-        maker.step(index, 100)
-    assert maker._graph is not None
-    while maker.is_ahead:
+        simulation.step(index, more=100)
+    assert simulation._graph is not None
+    while simulation.is_ahead:
         index += 1
-        maker.step(index, 1)
-    maker._graph.state.position[17, 1] = torch.nan
+        simulation.step(index, more=1)
+    simulation._graph.state.position[17, 1] = torch.nan
     with pytest.raises(ValueError, match="position(_t0)?: body 17"):
-        maker.step(index + 1, 100)
+        simulation.step(index + 1, more=100)
 
 
 def test_rounds_that_no_recent_step_needed(
     device: torch.device, graphs: list[StepGraph], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(replay, "_RECENT_STEPS", 6)
+    monkeypatch.setattr(captured, "_RECENT_STEPS", 6)
     model = Model(ModelConfig(**FAST | {"speed": 0.02, "spin": 0.0}), device=device)
     expected, last = run_eagerly(model, STEPS)
-    maker = StepMaker(model, model.start(), graph=True)
-    maker._recent.note(3)  # as if there had been more rounds
+    simulation = alone(model, graph=True)
+    simulation._recent.note(3)  # as if there had been more rounds
     for index in range(STEPS):
-        assert without_times(maker.step(index, STEPS - 1 - index).record) == expected[index]
+        assert without_times(simulation.step(index, more=STEPS - 1 - index).record) == expected[index]
     most = max(record["resolution_rounds"] for record in expected)
     assert most < 3 and [graph.rounds for graph in graphs][0] == 4 and graphs[-1].rounds <= most + 1
-    assert same(maker.state, last)
+    assert same(simulation.state, last)
 
 
 def test_without_a_graph(device: torch.device, graphs: list[StepGraph]) -> None:
     """If no graph is wanted, or none can be captured, with one warning."""
     model = Model(ModelConfig(**FAST), device=device)
     expected, _ = run_eagerly(model, 8)
-    plain = StepMaker(model, model.start(), graph=False)
+    plain = alone(model)
 
     def fail(*_: Any) -> Any:
         raise RuntimeError("operation not permitted")
 
-    assert [without_times(plain.step(index, 7 - index).record) for index in range(8)] == expected
-    maker = StepMaker(model, model.start(), graph=True)
+    assert [without_times(plain.step(index, more=7 - index).record) for index in range(8)] == expected
+    simulation = alone(model, graph=True)
     # Not by monkeypatch, which would be undone after `graphs`, and restore its replacement.
     with (
         mock.patch.object(transaction, "capture", fail),
         pytest.warns(UserWarning, match="steps run without a CUDA graph: operation not permitted") as warned,
     ):
-        assert [without_times(maker.step(index, 7 - index).record) for index in range(8)] == expected
+        assert [without_times(simulation.step(index, more=7 - index).record) for index in range(8)] == expected
     assert len(warned) == 1 and graphs == []
 
 
 def test_no_room_for_an_eager_step_beside_the_graph(device: torch.device, graphs: list[StepGraph]) -> None:
     model = Model(ModelConfig(**FAST), device=device)
     expected, _ = run_eagerly(model, 8)
-    maker = StepMaker(model, model.start(), graph=True)
+    simulation = alone(model, graph=True)
     with (
         mock.patch.object(replayed_steps, "has_room", lambda _: False),
         pytest.warns(UserWarning, match="steps run without a CUDA graph: too little memory") as warned,
     ):
-        made = [maker.step(index, 7 - index) for index in range(8)]
+        made = [simulation.step(index, more=7 - index) for index in range(8)]
     assert [without_times(step.record) for step in made] == expected
     assert len(warned) == 1 and len(graphs) == 1 and not any(isinstance(step, CommittedStep) for step in made)

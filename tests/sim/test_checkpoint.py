@@ -70,8 +70,6 @@ def test_what_was_written_is_read(tmp_path: Path) -> None:
     parts = [stored.rows(ROBOTS, begin, end) for begin, end in ((0, 8), (8, 13), (13, 30), (30, 30))]
     assert parts[1][0]["id"].tolist() == [24, 27, 1, 4, 7] and parts[3][0]["position"].shape == (0, 3)
     stored.require_hash(ROBOTS, sum(total for _, total in parts))
-    sim.save_checkpoint(tmp_path / "again", found)
-    assert same(sim.load_checkpoint(tmp_path / "again").state, start_state())
     assert find_checkpoint(tmp_path / "none") is None
 
 
@@ -469,13 +467,12 @@ def test_one_of_an_earlier_version(tmp_path: Path) -> None:
 
 
 def test_a_checkpoint_that_fails_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write(tmp_path, 7)
-    checkpoint = sim.load_checkpoint(tmp_path)
+    sim.run(CONFIG, 1, tmp_path)
     for call in ("save_file", "_write_bytes"):
         with monkeypatch.context() as patch:
             patch.setattr(module, call, raise_full)
             with pytest.raises(module.CheckpointError, match="No space left on device"):
-                sim.save_checkpoint(tmp_path, checkpoint)
+                sim.resume(tmp_path, 2)
         assert len(list((tmp_path / FOLDER).iterdir())) == 2
 
 

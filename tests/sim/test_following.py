@@ -9,13 +9,14 @@ import torch
 from support.following import FAST, follow_plainly, without_times
 from support.graphs import graphs_on
 from support.resolution import plain_step
+from support.steps import alone, step_of
 
 import pgccd
 from pgccd.detection.passes import SearchPass, find_pass, pairs_of_rounds
 from pgccd.resolution.round_plan import RoundPlan
 from pgccd.resolution.rounds import Fractions, resolve_collisions
 from pgccd.runtime.stages import StageClock
-from pgccd.sim import Model, ModelConfig, RobotState, StepMaker, make_step, robot_mesh
+from pgccd.sim import Model, ModelConfig, RobotState, robot_mesh
 from pgccd.sim.captured import CommittedStep
 from pgccd.sim.partners import FIRST_CONTACTS, Partners
 
@@ -72,7 +73,7 @@ def test_fast_robots(name: str) -> None:
     model = Model(ModelConfig(**FAST[name]))
     state, scene = model.start(), model.scene(model.start().id)
     for index, line in enumerate(expected):
-        step = make_step(model, scene, state, index)
+        step = step_of(model, state, index)
         state = step.after
         assert {key: step.record[key] for key in line} == line
         pcs = pgccd.broad.find_pairs(pgccd.MovingBodies.of(scene, model.motion(step.before)))
@@ -85,9 +86,9 @@ def test_fast_robots_in_replays(device: torch.device, name: str) -> None:
     model = Model(ModelConfig(**FAST[name]), device=device)
     made: list[Any] = []
     with graphs_on(device):
-        maker = StepMaker(model, model.start(), graph=True)
+        simulation = alone(model, graph=True)
         for index, line in enumerate(expected):
-            made.append(maker.step(index, len(expected) - 1 - index))
+            made.append(simulation.step(index, more=len(expected) - 1 - index))
             assert {key: made[-1].record[key] for key in line} == line
     assert any(isinstance(step, CommittedStep) for step in made)
     assert all(without_times(step.record)["touching_at_t0"] == 0 for step in made)

@@ -13,11 +13,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.resolution import plain_resolution, plain_step, resolve_given
 from support.same_bits import assert_same
+from support.steps import step_of
 from torch import Tensor
 
 import pgccd
 from pgccd import ops
-from pgccd.sim import Model, ModelConfig, make_step, respond
+from pgccd.sim import Model, ModelConfig, respond
 from pgccd.sim.model import RobotState
 from pgccd.viz.raster import placed
 
@@ -127,9 +128,9 @@ def overlapping_pairs(model: Model, state: RobotState) -> list[tuple[int, int]]:
 def test_robots_never_overlap(pattern: str) -> None:
     # Fast robots in a small model: many contacts in few steps.
     model = Model(ModelConfig(robots=64, pattern=pattern, speed=0.25, spin=0.5, seed=3))
-    scene, state, contacts = model.scene(model.start().id), model.start(), 0
+    state, contacts = model.start(), 0
     for index in range(60):
-        step = make_step(model, scene, state, index)
+        step = step_of(model, state, index)
         state = step.after
         contacts += step.record["contacts"]
         assert step.record["touching_at_t0"] == 0
@@ -143,10 +144,10 @@ def test_robots_never_overlap(pattern: str) -> None:
 @pytest.mark.slow
 def test_collisions_do_not_pile_up() -> None:
     model = Model(ModelConfig(robots=125, speed=0.25))
-    scene, state = model.scene(model.start().id), model.start()
+    state = model.start()
     stopped = []
     for index in range(160):
-        step = make_step(model, scene, state, index)
+        step = step_of(model, state, index)
         state = step.after
         stopped.append(step.record["stopped"])
     early, late = np.mean(stopped[40:100]), np.mean(stopped[100:])

@@ -13,6 +13,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.resolution import PlainStep, plain_run, plain_step
+from support.steps import step_of
 from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 
@@ -22,7 +23,7 @@ from pgccd.detection.passes import SearchPass
 from pgccd.resolution.round_plan import RoundPlan
 from pgccd.resolution.rounds import OneRank, ResolvedStep, resolve_collisions
 from pgccd.runtime.stages import StageClock
-from pgccd.sim import Fractions, Model, ModelConfig, RobotState, StepPlan, make_step, robot_mesh
+from pgccd.sim import Fractions, Model, ModelConfig, RobotState, robot_mesh
 from pgccd.sim import partners as partners_module
 from pgccd.sim.partners import FIRST_CONTACTS, Partners
 from pgccd.sim.tally import WORK
@@ -55,11 +56,10 @@ def same_bits(seed: int, pattern: str, kinds: int, stopping_round: int = 4) -> l
     big = robot_mesh()
     meshes = [big, pgccd.Mesh(0.7 * big.vertices, big.faces, "centroid")][:kinds]
     model = Model(ModelConfig(pattern=pattern, seed=seed, stopping_round=stopping_round, **FAST), meshes)
-    state, plan = model.start(), StepPlan()
-    scene = model.scene(state.id)
+    state = model.start()
     lines = plain_run(model, 12)
     for index, expected in enumerate(lines):
-        step = make_step(model, scene, state, index, plan=plan)
+        step = step_of(model, state, index)
         state = step.after
         assert {name: step.record[name] for name in expected} == expected
     return [line["resolution_rounds"] for line in lines]
@@ -67,13 +67,13 @@ def same_bits(seed: int, pattern: str, kinds: int, stopping_round: int = 4) -> l
 
 def test_an_invalid_state(device: torch.device) -> None:
     model = Model(ModelConfig(**FAST), device=device)
-    state, scene = model.start(), model.scene(model.start().id)
+    state = model.start()
     for index in range(3):
-        state = make_step(model, scene, state, index).after
+        state = step_of(model, state, index).after
     state.position = state.position.clone()
     state.position[17, 1] = torch.nan
     with pytest.raises(ValueError, match="position(_t0)?: body 17"):
-        make_step(model, scene, state, 3)
+        step_of(model, state, 3)
 
 
 class TwoAlike(OneRank):
@@ -136,9 +136,9 @@ class PlannedStep:
 
 def planned_step(seed: int, speed: float = 0.3, robots: int = 150) -> PlannedStep:
     model = Model(ModelConfig(robots=robots, speed=speed, seed=seed))
-    state, scene = model.start(), model.scene(model.start().id)
+    state = model.start()
     for index in range(8):  # until the robots have left the lattice
-        state = make_step(model, scene, state, index).after
+        state = step_of(model, state, index).after
     return PlannedStep(model, model.plan(state, 8))
 
 

@@ -23,7 +23,6 @@ from pgccd import sim
 from pgccd.checkpoint.lock import FolderError
 from pgccd.runtime.stages import StageClock
 from pgccd.sim import log as log_module
-from pgccd.sim import replay
 from pgccd.sim.log import LOG_FILE, StepLog
 from pgccd.sim.run_folder import WORLD_FILE
 from pgccd.sim.summary import Totals
@@ -123,14 +122,14 @@ def test_checkpoints_are_written_on_the_way(finished: tuple[Path, sim.Run], tmp_
 
 @pytest.mark.parametrize("on_gpu", [False, True])
 def test_lines_of_the_steps_before_a_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, on_gpu: bool) -> None:
-    make_step = replay.make_step
+    step = sim.Simulation.step
 
-    def fail(*arguments: Any, **more: Any) -> Any:
-        if arguments[3] == 7:
+    def fail(simulation: sim.Simulation, index: int, *more: Any) -> Any:
+        if index == 7:
             raise RuntimeError("no more")
-        return make_step(*arguments, **more)
+        return step(simulation, index, *more)
 
-    monkeypatch.setattr(replay, "make_step", fail)
+    monkeypatch.setattr(sim.Simulation, "step", fail)
     monkeypatch.setattr(torch.cuda, "is_initialized", lambda: on_gpu)
     # Stage times would need a GPU.
     monkeypatch.setattr(StageClock, "stage", lambda *_: nullcontext())
@@ -159,7 +158,7 @@ def test_a_new_run_replaces_an_earlier_one_only_if_it_may(tmp_path: Path) -> Non
 def test_one_job_a_folder(tmp_path: Path) -> None:
     class Second:
         def advance(self, record: dict[str, Any]) -> None:
-            if record["step"] == 0:  # no checkpoint yet
+            if record["step"] < 2:  # no checkpoint is complete yet
                 return
             for again in (lambda: sim.run(CONFIG, 2, tmp_path, overwrite=True), lambda: sim.resume(tmp_path)):
                 with pytest.raises(ValueError, match=f"in use by another job: process {os.getpid()} on .*, since"):

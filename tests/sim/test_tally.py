@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from pgccd.detection.capacity import COUNT_ROWS
 from pgccd.resolution.counts import GatheredCounts
 from pgccd.sim.captured import CommittedStep
+from pgccd.sim.reports import REPORTED
 from pgccd.sim.tally import COUNTED, WORK
 
 intervals = st.tuples(st.integers(0, 30), st.integers(0, 12)).map(lambda given: (given[0], given[0] + given[1]))
@@ -38,7 +39,7 @@ def test_stages_of_a_replayed_step_do_not_overlap() -> None:
     ):  # ghosts' pairs: 15 longer than own pairs
         for name, time in zip(names, times, strict=True):
             counts[1, number, COUNT_ROWS[name]] = 10**6 * time
-    summaries = np.zeros((2, COUNTED), dtype=np.int64)
+    summaries = np.zeros((2, COUNTED + REPORTED), dtype=np.int64)
     record = CommittedStep(0, 1, 0.1, 1, GatheredCounts(np.zeros(2, np.int64), counts), summaries).record
     expected = {"broad": 0.01, "traverse": 0.03, "narrow": 0.02, "halo": 0.015, "respond": 0.025}
     assert record["stage_seconds"] == pytest.approx(expected)

@@ -6,10 +6,11 @@ import math
 
 import pytest
 import torch
+from support.steps import step_of
 
 import pgccd
 from pgccd import ops
-from pgccd.sim import Model, ModelConfig, RobotState, make_step, robot_mesh
+from pgccd.sim import Model, ModelConfig, RobotState, robot_mesh
 from pgccd.sim.model import lattice_cells
 
 
@@ -155,12 +156,11 @@ def test_operators_have_consistent_fake_kernels() -> None:
 
 def test_results_do_not_depend_on_the_number_of_threads() -> None:
     model = Model(ModelConfig(robots=300, seed=5))
-    scene = model.scene(model.start().id)
 
     def hashes() -> list[tuple[str, str]]:
         state, found = model.start(), []
         for index in range(12):
-            step = make_step(model, scene, state, index)
+            step = step_of(model, state, index)
             state = step.after
             found.append((step.record["contacts_hash"], step.record["state_hash"]))
         return found

@@ -15,7 +15,7 @@ import torch
 
 from pgccd import sim
 from pgccd.distributed import Cells, choose_device, connect, guard
-from pgccd.sim.distributed import DistributedSimulation, starting_share
+from pgccd.sim import Simulation, starting_share
 
 RANK, STEP = 1, 3
 BUSY_SECONDS = 4 if len(sys.argv) < 5 else int(sys.argv[4])
@@ -28,7 +28,7 @@ def main(fault: str, kind: str, timeout: float) -> None:
         model = sim.Model(sim.ModelConfig(robots=64), device=device)
         upper = model.half_extent
         partition = Cells.uniform(tuple(-x for x in upper), upper, comm.size, cells=2, device=device)
-        simulation = DistributedSimulation.create(comm, model, partition, starting_share(comm, model))
+        simulation = Simulation.create(comm, model, partition, starting_share(comm, model))
         for index in range(10):
             if comm.rank == RANK and index == STEP:
                 if fault == "dies":

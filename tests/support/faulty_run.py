@@ -16,7 +16,7 @@ from pgccd import sim
 from pgccd.checkpoint import files
 from pgccd.distributed import connect
 from pgccd.distributed.guard import guard, hub
-from pgccd.sim.distributed import DistributedSimulation, run
+from pgccd.sim import Simulation, run
 
 CONFIG = sim.ModelConfig(robots=60, pattern="skewed", speed=0.25, seed=4)
 STEPS, EVERY, STEP = 16, 3, 7
@@ -115,20 +115,20 @@ def job(fault: str, folder: str) -> None:
     which, happens = FAULTS[fault]
     if fault == "a rank loses its launcher":
         os.environ["TORCHELASTIC_RUN_ID"] = "run"
-    step = DistributedSimulation.step
+    step = Simulation.step
 
-    def faulty(self: DistributedSimulation, index: int, *rest: Any) -> Any:
+    def faulty(self: Simulation, index: int, *rest: Any) -> Any:
         if index == STEP and which in (None, self.comm.rank):
             happens()
         return step(self, index, *rest)
 
-    DistributedSimulation.step = faulty  # type: ignore[method-assign]
+    Simulation.step = faulty  # type: ignore[method-assign]
     with connect("cpu", "gloo", timeout=TIMEOUT) as comm:
-        run(comm, CONFIG, STEPS, folder, checkpoint_every=EVERY)
+        run(CONFIG, STEPS, folder, checkpoint_every=EVERY, comm=comm)
 
 
 def undisturbed_job(folder: str, steps: int) -> None:
     """The run on this rank, without a fault."""
     os.environ["GLOO_SOCKET_IFNAME"] = "lo"
     with connect("cpu", "gloo", timeout=120.0) as comm:
-        run(comm, CONFIG, steps, folder)
+        run(CONFIG, steps, folder, comm=comm)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from support.steps import step_of
 
 import pgccd
 from pgccd import sim, viz
@@ -324,9 +325,8 @@ def test_recorded_steps_are_drawn_with_their_stops(is_rigid: bool, open_page: Ca
 def test_the_page_of_the_model_plays_until_it_is_touched(open_page: Callable[[viz.Page], Any]) -> None:
     model = sim.Model(sim.ModelConfig(robots=60, speed=0.25))
     state, steps = model.start(), []
-    scene = model.scene(state.id)
     for index in range(12):
-        steps.append(sim.make_step(model, scene, state, index))
+        steps.append(step_of(model, state, index))
         state = steps[-1].after
     tab = open_page(sim.page_of_steps(model, steps[-3:]))
     tab.wait_for_function("Number(element('time').value) > 0.01")
@@ -342,7 +342,7 @@ def test_the_page_of_the_model_plays_until_it_is_touched(open_page: Callable[[vi
 def test_the_page_of_the_model_does_not_play_where_drawing_is_slow(browser: Any, tmp_path: Path) -> None:
     model = sim.Model(sim.ModelConfig(robots=60, speed=0.25))
     state = model.start()
-    step = sim.make_step(model, model.scene(state.id), state, 0)
+    step = step_of(model, state, 0)
     tab = browser.new_page(viewport={"width": 1000, "height": 700})
     tab.add_init_script("{ let now = 0; performance.now = () => now += 300; }")
     tab.goto(sim.page_of_steps(model, [step]).save(tmp_path / "page.html").as_uri())

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from support.steps import step_of
 
 import pgccd
 from pgccd import sim, viz
@@ -195,9 +196,8 @@ def test_edges_through_faces_are_at_the_start() -> None:
 def test_page_of_the_model_is_self_contained_and_plays_all_robots() -> None:
     model = sim.Model(sim.ModelConfig(robots=150, speed=0.25))
     state, steps = model.start(), []
-    scene = model.scene(state.id)
     for index in range(12):
-        steps.append(sim.make_step(model, scene, state, index))
+        steps.append(step_of(model, state, index))
         state = steps[-1].after
     page = sim.page_of_steps(model, steps[8:], ["A <title>", "figures"])
     assert len(page.html) < 5e6 and page.left_out == []

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.steps import step_of
 
 from pgccd import sim, viz
 from pgccd.sim.pictures import shown_steps, write_pictures
@@ -16,9 +17,8 @@ from pgccd.viz.raster import Camera, Canvas
 def snapshot() -> viz.Snapshot:
     model = sim.Model(sim.ModelConfig(robots=150, speed=0.25))
     state = model.start()
-    scene = model.scene(state.id)
     for index in range(12):
-        step = sim.make_step(model, scene, state, index)
+        step = step_of(model, state, index)
         state = step.after
     return sim.snapshot_of_step(model, step, ["A <title>", "figures"])
 

@@ -21,7 +21,7 @@ from pgccd.distributed.launch.placement import find_placement
 from pgccd.distributed.partition.balance import POLICIES, BalanceOptions
 from pgccd.distributed.partition.cut import DEFAULT_AXES, DEFAULT_CELLS, PARTITION_CHOICES
 from pgccd.sim.checkpoint import find_checkpoint
-from pgccd.sim.distributed.runner import DistributedOptions
+from pgccd.sim.rank_options import RankOptions
 
 _FAILURE_CODE = 70
 _TELLING_SECONDS = 0.5
@@ -42,9 +42,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--balance", choices=POLICIES, default="cost", help="load balancing policy (cost)")
 
 
-def distributed_options(options: argparse.Namespace) -> DistributedOptions:
+def rank_options(options: argparse.Namespace) -> RankOptions:
     """From the options of the command line."""
-    return DistributedOptions(options.partition, options.axes, options.cells, BalanceOptions(options.balance))
+    return RankOptions(options.partition, options.axes, options.cells, BalanceOptions(options.balance))
 
 
 def connect_ranks(options: argparse.Namespace) -> Comm:

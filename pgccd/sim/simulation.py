@@ -1,10 +1,7 @@
-"""One step of the nanorobot simulation on many ranks: plan, halo, detect, resolve, respond, balance, migrate."""
+"""Steps of the nanorobot simulation on any number of ranks: plan, halo, detect, resolve, respond, balance, migrate."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import torch
@@ -12,6 +9,7 @@ from torch import Tensor
 
 from pgccd.detection.bodies import MovingBodies
 from pgccd.detection.broad import BroadPhase
+from pgccd.detection.contacts import Contacts
 from pgccd.detection.passes import pairs_of_rounds
 from pgccd.distributed.comm.exchange import Columns, take_rows
 from pgccd.distributed.comm.interface import Comm
@@ -20,92 +18,35 @@ from pgccd.distributed.detection.share import Share, search_share
 from pgccd.distributed.guard import collective
 from pgccd.distributed.halo.migrate import Census, count_leaving, id_range, migrate
 from pgccd.distributed.halo.sizes import HaloSizes
-from pgccd.distributed.partition.balance import BalanceOptions, RankLoads
+from pgccd.distributed.partition.balance import BalanceOptions
 from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.distributed.partition.interface import Partition
 from pgccd.distributed.steps.rank import Rank, can_replay
 from pgccd.distributed.steps.replayed import RankSteps
+from pgccd.geometry.scene import Scene
 from pgccd.resolution.counts import GatheredCounts
 from pgccd.resolution.round_plan import RoundPlan
-from pgccd.resolution.rounds import Fractions, resolve_collisions
+from pgccd.resolution.rounds import resolve_collisions
 from pgccd.runtime.replayed_steps import GRAPH_SLACK
 from pgccd.runtime.stages import StageClock
 from pgccd.runtime.transaction import Replay
-from pgccd.sim.captured import CommittedStep, Searches, StepGraph
-from pgccd.sim.distributed.held_exchange import HeldExchange
-from pgccd.sim.distributed.reports import REPORTED, Reports
+from pgccd.sim.captured import CommittedStep, RecentRounds, Searches, StepGraph
+from pgccd.sim.held_exchange import HeldExchange
 from pgccd.sim.model import Model, RobotState
 from pgccd.sim.partners import FIRST_CONTACTS, Partners
-from pgccd.sim.replay import RecentRounds
+from pgccd.sim.rank_options import RankOptions
+from pgccd.sim.reports import REPORTED, Reports
 from pgccd.sim.response import respond
+from pgccd.sim.step import Step
 from pgccd.sim.tally import COUNTED, Tally, count_step
 
 
-@dataclass(frozen=True)
-class CommittedRankStep:
-    """A step that was committed on all ranks' devices."""
+class Simulation(RankSteps[Step, CommittedStep, StepGraph]):
+    """The robots of a simulation, distributed over ranks, of which a single process is one; made by `create`, on all
+    ranks together.
 
-    made: CommittedStep
-    reports: Reports
-    stop_requested: bool  #: on any rank
-
-    @property
-    def index(self) -> int:
-        """Index of the step, from 0."""
-        return self.made.index
-
-    @property
-    def loads(self) -> RankLoads:
-        """The ranks' loads, for balancing."""
-        return self.reports.loads
-
-    @property
-    def ghosts(self) -> int:
-        """Number of ghosts, over all ranks."""
-        return int(self.reports.ghosts.sum())
-
-    @property
-    def leaving(self) -> int:
-        """Number of robots in cells of other ranks, over all ranks."""
-        return int(self.reports.leaving.sum())
-
-    @cached_property
-    def record(self) -> dict[str, Any]:
-        """The line in steps.jsonl, for all ranks; equal on all of them except for times."""
-        return self.made.record | {"ranks": self.reports.record(moved_cells=0)}
-
-
-@dataclass
-class RankStep:
-    """One rank's part of a step run eagerly.
-
-    Attributes:
-        index: of the step, from 0.
-        before: own robots, as planned.
-        resolution: the part of the step that each held robot moves.
-        stop_requested: whether the run was asked to stop, on any rank.
-        share: pairs and contacts of the whole step.
-        make_record: computes `record`.
-    """
-
-    index: int
-    before: RobotState
-    resolution: Fractions
-    stop_requested: bool
-    share: Share
-    make_record: Callable[[], dict[str, Any]]
-
-    @cached_property
-    def record(self) -> dict[str, Any]:
-        """The line in steps.jsonl, for all ranks; equal on all of them except for times."""
-        return self.make_record()
-
-
-class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
-    """The robots of a simulation, distributed over ranks; made by `create`, on all ranks together.
-
-    With NCCL, consecutive steps are replays of one CUDA graph per rank, messages included: see `pgccd.sim.replay`.
-    Cells and robots change owners only in steps run eagerly, so robots that leave their rank's cells migrate
+    On a GPU, with NCCL if there are several ranks, consecutive steps are replays of one CUDA graph per rank, messages
+    included. Cells and robots change owners only in steps run eagerly, so robots that leave their rank's cells migrate
     later.
 
     Attributes:
@@ -114,7 +55,7 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
         options: of the detection.
 
     Example:
-        >>> simulation = DistributedSimulation.create(comm, model, partition, starting_share(comm, model))
+        >>> simulation = pgccd.sim.Simulation.create(pgccd.distributed.Alone(), model)
         >>> simulation.step(0).record["contacts"]
     """
 
@@ -133,6 +74,7 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
         self._plan, self._recent = RoundPlan(), RecentRounds()
         self._expected, self._stop = expected, False
         self._state, self._arrived = state, 0
+        self._scene: tuple[Tensor, Scene] | None = None
         # Written before a replay: number of robots that arrived since the last one; whether to stop.
         self._notes = torch.zeros(2, dtype=torch.int64, device=model.device)
 
@@ -142,20 +84,20 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
         cls,
         comm: Comm,
         model: Model,
-        partition: Partition,
-        state: RobotState,
+        partition: Partition | None = None,
+        state: RobotState | None = None,
         balance: BalanceOptions | None = None,
         overlap: bool = True,
         broad_phase: BroadPhase = "auto",
         graph: bool | None = None,
-    ) -> DistributedSimulation:
+    ) -> Simulation:
         """Distributes robots over the ranks.
 
         Args:
             comm: between the ranks.
             model: the rules, the same on all ranks, on this rank's device.
-            partition: the same on all ranks.
-            state: of any share of the robots; each robot is on exactly one rank.
+            partition: the same on all ranks. Default: that of `RankOptions`.
+            state: of any share of the robots; each robot is on exactly one rank. Default: all robots at the start.
             balance: options of load balancing.
             broad_phase, overlap: see `SearchOptions`.
             graph: whether steps are replayed, the same on all ranks. Default: if messages are sent on a GPU's stream.
@@ -173,6 +115,8 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
             at_any_times=True,
         )
         graph = can_replay(comm, model.device) if graph is None else graph
+        partition = RankOptions().cut(comm, model) if partition is None else partition
+        state = starting_share(comm, model) if state is None else state
         state = RobotState(**take_rows(state.columns, torch.argsort(state.id)))
         expected = Census.of_range(comm, model.config.robots)
         simulation = cls(
@@ -212,7 +156,7 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
         Census.of_ranks(self.comm, self.state.id).require(self._expected)
 
     @collective
-    def step(self, index: int, stop: bool = False, more: int = 0) -> RankStep | CommittedRankStep:
+    def step(self, index: int, stop: bool = False, more: int = 0) -> Step | CommittedStep:
         """Moves the robots by one step.
 
         Args:
@@ -227,11 +171,11 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
             self._notes[1] = 1
         return self._advance(index, more)
 
-    def _run_eagerly(self, index: int) -> RankStep:
+    def _run_eagerly(self, index: int) -> Step:
         clock = StageClock()
         with clock.stage("plan"):
             planned = self.model.plan(self._state, index)
-            bodies = MovingBodies.of(self.model.scene(planned.id), self.model.motion(planned), wait=False)
+            bodies = MovingBodies.of(self._scene_of(planned.id), self.model.motion(planned), wait=False)
         own = planned.moving_columns
 
         def beside(share: Share) -> tuple[HeldExchange, Partners]:
@@ -267,9 +211,21 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
 
         def make_record() -> dict[str, Any]:
             record = tally.record(index, resolved.resolution.rounds, clock)
-            return record | {"ranks": reports.record(moved_cells)}
+            return record | reports.record(moved_cells)
 
-        return RankStep(index, planned, resolved.resolution, bool(reports.stop.any()), share, make_record)
+        def find() -> Contacts:
+            found = share.contacts
+            assert isinstance(found, Contacts)  # of report="first"
+            return found
+
+        stop = bool(reports.stop.any())
+        return Step(index, planned, resolved.resolution, after, find, make_record, stop, share)
+
+    def _scene_of(self, id: Tensor) -> Scene:
+        """The scene of the own robots, kept until robots migrate."""
+        if self._scene is None or self._scene[0] is not id:
+            self._scene = id, self.model.scene(id)
+        return self._scene[1]
 
     def _tally(self, reports: Reports) -> Tally:
         """The tally over all ranks. Raises RuntimeError if robots were lost or duplicated."""
@@ -372,16 +328,14 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
     def _write_notes(self) -> None:
         self._notes[0], self._notes[1] = self._arrived, int(self._stop)
 
-    def _read(self, replay: Replay[Any], index: int) -> CommittedRankStep | None:
+    def _read(self, replay: Replay[Any], index: int) -> CommittedStep | None:
         made: CommittedStep | None = self._wait(replay, index)
-        if made is None:
-            return None
-        reports = Reports.of(made.work, made.summaries)
-        self._tally(reports)
-        return CommittedRankStep(made, reports, bool(reports.stop.any()))
+        if made is not None:
+            self._tally(made.reports)
+        return made
 
-    def _note(self, step: RankStep | CommittedRankStep) -> None:
-        self._recent.note(step.resolution.rounds if isinstance(step, RankStep) else step.made.rounds)
+    def _note(self, step: Step | CommittedStep) -> None:
+        self._recent.note(step.resolution.rounds if isinstance(step, Step) else step.rounds)
 
     def _is_oversized(self, graph: StepGraph) -> bool:
         return self._recent.need_fewer_than(graph.rounds)
@@ -393,7 +347,7 @@ class DistributedSimulation(RankSteps[RankStep, CommittedRankStep, StepGraph]):
 
 
 def starting_share(comm: Comm, model: Model) -> RobotState:
-    """An equal share of the robots of `model` at the start on each rank of `comm`, for `DistributedSimulation`, which
+    """An equal share of the robots of `model` at the start on each rank of `comm`, for `Simulation`, which
     migrates each to the owner of its cell.
     """
     first, end = id_range(comm, model.config.robots)

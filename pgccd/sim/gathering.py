@@ -11,7 +11,6 @@ from torch import Tensor
 from pgccd.detection.contacts import Contacts
 from pgccd.distributed.comm.exchange import Columns, make_route, take_rows
 from pgccd.distributed.comm.interface import Comm
-from pgccd.sim.distributed.simulation import RankStep
 from pgccd.sim.model import RobotState
 from pgccd.sim.response import respond
 from pgccd.sim.step import Step
@@ -25,7 +24,7 @@ def gather_columns(comm: Comm, columns: Columns) -> Columns:
 
 
 def gather_sample(
-    comm: Comm, state: RobotState, steps: Sequence[RankStep] = (), one_in: int = 1
+    comm: Comm, state: RobotState, steps: Sequence[Step] = (), one_in: int = 1
 ) -> tuple[RobotState, list[Step]]:
     """An even sample of the robots on rank 0, by ascending id; none on the others. With the steps that led to this
     state, also these, with their contacts whose first robot is in the sample; the other robots of these are added.
@@ -36,6 +35,8 @@ def gather_sample(
         steps: the last steps, if they were eager; only one if a sample is taken.
         one_in: robots whose id is a multiple of this are in the sample.
     """
+    if comm.size == 1 and one_in == 1:
+        return state, list(steps)
     if steps:
         gathered = [_gather_step(comm, step, one_in) for step in steps]
         return gathered[-1].after, gathered
@@ -50,8 +51,9 @@ def _gather_robots(comm: Comm, columns: Columns, one_in: int, ids: Tensor) -> Co
     return take_rows(gathered, torch.argsort(gathered["id"]))
 
 
-def _gather_step(comm: Comm, step: RankStep, one_in: int) -> Step:
-    found = step.share.contacts
+def _gather_step(comm: Comm, step: Step, one_in: int) -> Step:
+    assert step.share is not None
+    found = step.contacts
     columns = found.columns
     columns["pairs"] = step.share.held.id[found.pairs]
     contacts = gather_columns(comm, take_rows(columns, torch.nonzero(columns["pairs"][:, 0] % one_in == 0)[:, 0]))
@@ -63,7 +65,7 @@ def _gather_step(comm: Comm, step: RankStep, one_in: int) -> Step:
     resolution = replace(step.resolution, fraction=before.pop("fraction"))
     contacts["pairs"] = torch.searchsorted(before["id"], contacts["pairs"])
     order = torch.argsort(contacts["pairs"][:, 0] * max(1, len(before["id"])) + contacts["pairs"][:, 1])
-    whole = Contacts(**take_rows(contacts, order), stats=step.share.contacts.stats)
+    whole = Contacts(**take_rows(contacts, order), stats=found.stats)
     planned = RobotState(**before)
     after = respond(planned, resolution.fraction)
     return Step(step.index, planned, resolution, after, lambda: whole, lambda: step.record)

@@ -1,4 +1,4 @@
-"""Messages between ranks at the end of a step of the nanorobot simulation."""
+"""Values of all ranks at the end of a step."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Reports:
 
     @classmethod
     def of(cls, work: Rows, summaries: Rows) -> Reports:
-        """`summaries`: (ranks, k): the values of each rank of `DistributedSimulation`, in this order."""
+        """`summaries`: (ranks, k): the values of each rank of `Simulation`, in this order."""
         counted, rest = summaries[:, :COUNTED], summaries[:, COUNTED:]
         return cls(work, counted, *rest.T)
 
@@ -50,8 +50,10 @@ class Reports:
         return [1e-9 * spent for spent in self.worked("nanoseconds")]
 
     def record(self, moved_cells: int) -> dict[str, Any]:
-        """The object `ranks` of the step's line in the log."""
-        return {
+        """The object `ranks` of the step's line in the log, by its name; nothing of a single rank."""
+        if len(self.work) == 1:
+            return {}
+        ranks = {
             "bodies": self.robots,
             "ghosts": self.ghosts.tolist(),
             "pcs": self.worked("pcs"),
@@ -61,3 +63,4 @@ class Reports:
             "moved_cells": moved_cells,
             "imbalance": round(imbalance(torch.tensor(self.worked("pcs"), dtype=torch.float64)), 4),
         }
+        return {"ranks": ranks}
