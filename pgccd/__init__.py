@@ -15,7 +15,8 @@ from pgccd.detection.captured import CapturedDetection
 from pgccd.detection.contacts import CollidingPairs, Contacts, Stats
 from pgccd.detection.distance import Distances, distance
 from pgccd.detection.enclosed import enclosed
-from pgccd.detection.narrow import Kind, Report, Status
+from pgccd.detection.kinds import Kind, Status
+from pgccd.detection.narrow import Report
 from pgccd.detection.padded_contacts import PaddedCollidingPairs, PaddedContacts
 from pgccd.detection.pipeline import detect
 from pgccd.detection.trajectories import TrajectoryContacts

@@ -11,7 +11,6 @@ import torch
 from torch import Tensor
 
 from pgccd import arguments
-from pgccd.auditing.closing import closing_rates
 from pgccd.auditing.results import Audit, Passages, Touching
 from pgccd.auditing.runs import Runs
 from pgccd.auditing.windows import Frame, windows
@@ -21,11 +20,13 @@ from pgccd.detection.contacts import CollidingPairs, Contacts
 from pgccd.detection.enclosed import enclosed_pairs
 from pgccd.detection.pipeline import DetectOptions, detect
 from pgccd.detection.query import Query
+from pgccd.detection.sites import Sites
 from pgccd.detection.streaming import join_contacts
 from pgccd.detection.trajectories import detect_segments, repeated, time_along
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import PATHS, PathKind, RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
+from pgccd.motion.vectors import dot
 
 #: Whether bodies at rest, of several copies of a scene, do something in pairs (P, 2): (P,) bool.
 _Test: TypeAlias = Callable[[Scene, RigidMotion | VertexMotion, Tensor], Tensor]
@@ -115,17 +116,17 @@ class _Rows:
         """All of them, of a rollout of so many segments."""
         joined = join_contacts(self.parts, [each.pairs for each in self.parts])
         segment, approach = (torch.cat(column) for column in zip(*self.columns, strict=True))
-        toi = joined.columns["toi"]
-        passages = Passages(
-            **joined.columns,
+        columns: dict[str, Any] = joined.columns
+        toi = columns["toi"]
+        return Passages(
+            **columns,
             stats=joined.stats,
             segment=segment,
             time=time_along(segment, toi, segments),
             approach=approach,
             measure=(1.0 - toi) * approach,
+            scene=scene,
         )
-        passages.scene = scene
-        return passages
 
 
 @dataclass
@@ -163,10 +164,20 @@ class _Auditor:
     def _add(self, kind: _Rows, part: Trajectory, found: Contacts, segment: Tensor, rows: Tensor) -> Tensor:
         """Adds rows (K,) of contacts; returns their measure (K,)."""
         added, segment = found[rows], segment[rows]
-        approach = closing_rates(self.scene, part, added, segment)
+        approach = self._closing_rates(part, added, segment)
         kind.parts.append(added)
         kind.columns.append((segment + self.segments, approach))
         return (1.0 - added.toi) * approach
+
+    def _closing_rates(self, part: Trajectory, found: Contacts, segment: Tensor) -> Tensor:
+        """(K,) lengths per segment, >= 0: the rate at which the gap closes along the normal at toi. Where the gap is
+        zero up to rounding the side of the normal is undefined; but if toi > 0 the gap has closed, so the sign is
+        known.
+        """
+        bodies = found.pairs + segment[:, None] * self.scene.body_count
+        sites = Sites.of(found, repeated(self.scene, part.segment_count), part.steps(), bodies)
+        rate = -dot(found.normal, sites.velocity().to(found.normal.device))
+        return torch.where(found.toi > 0.0, rate.abs(), rate.clamp(min=0.0))
 
     def _at_both_ends(self, part: Trajectory, segment: Tensor, pairs: Tensor, test: _Test) -> tuple[Tensor, Tensor]:
         """(K,) bool each: whether pairs (K, 2) pass a test at the start and at the end of segments (K,)."""

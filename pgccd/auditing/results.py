@@ -96,8 +96,7 @@ class Audit:
         for segment, _ in self._kept:
             rows = self.passages[self.passages.segment == segment]
             columns = {name: getattr(rows, name) for name in COLUMNS}
-            contacts.append(Contacts(**columns, stats=rows.stats))
-            contacts[-1].scene = self.passages.scene
+            contacts.append(Contacts(**columns, stats=rows.stats, scene=rows.scene))
         return [motion for _, motion in self._kept], contacts
 
     def __repr__(self) -> str:

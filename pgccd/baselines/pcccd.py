@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -191,7 +191,8 @@ class PCCCD:
             chunks=1,
             seconds=clock.seconds,
         )
-        return Contacts(**received, stats=stats)
+        rows: dict[str, Any] = received
+        return Contacts(**rows, stats=stats)
 
     def balance(self) -> None:
         """Balances the number of boxes per rank in the last call of `detect` by moving voxels: the largest first, each

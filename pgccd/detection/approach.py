@@ -19,8 +19,8 @@ from torch import Tensor
 from pgccd import arguments
 from pgccd.detection.checks import RELATIVE_TOLERANCE
 from pgccd.detection.gradients import corner_points
-from pgccd.detection.narrow import Kind, Status
-from pgccd.detection.sites import FACE, Sites, reduced
+from pgccd.detection.kinds import FACE, Kind, Status
+from pgccd.detection.sites import Sites, reduced
 from pgccd.detection.surface_normals import surface_normals
 from pgccd.geometry.incidence import Lists
 from pgccd.geometry.scene import Scene

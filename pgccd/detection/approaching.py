@@ -16,9 +16,6 @@ if TYPE_CHECKING:
 class WithApproach:
     """What contacts say of their rest of the step, from what they were found with."""
 
-    # What they were found with; None for those of ranks, of a capacity, or from a state_dict.
-    _cause: Cause | None = None
-
     @property
     def approach(self) -> Tensor:
         """(K,) float64: the rate at which the gap between the nearest points closes at toi, along `normal`, in the
@@ -98,7 +95,6 @@ def _joined(one: Contacts, other: Contacts) -> Contacts:
         name: torch.cat([column, getattr(other, name)])[order] for name, column in one.columns.items()
     }
     joined = replace(one, **columns)
-    joined.scene, joined._cause, joined._is_of_rank = one.scene, one._cause, one._is_of_rank
     if one._differentiable is not None:
         joined._differentiable = torch.cat([one.differentiable, other.differentiable])[order]
     return joined

@@ -16,6 +16,7 @@ from pgccd.detection.grouping import By, any_contact, first_time, owners
 from pgccd.ops import ContactRows
 
 if TYPE_CHECKING:
+    from pgccd.detection.approach import Cause
     from pgccd.geometry.scene import Scene
 
 
@@ -125,9 +126,9 @@ class PairColumns:
     """What all results have: body pairs. Equal (`==`) if all columns are, bit by bit."""
 
     pairs: Tensor
-    scene: Scene | None = field(default=None, init=False, repr=False, compare=False)
+    scene: Scene | None = field(default=None, repr=False, compare=False)
     # Whether the contacts are those of the bodies of one of several ranks.
-    _is_of_rank: bool = field(default=False, init=False, repr=False, compare=False)
+    _is_of_rank: bool = field(default=False, repr=False, compare=False)
 
     _names: ClassVar[tuple[str, ...]] = ("pairs",)
 
@@ -215,8 +216,8 @@ class ContactColumns(PairColumns):
     status: Tensor
     # Whether these are the earliest contacts, which leaves out those of other pairs; and whether there is one in each
     # world that has any.
-    _is_earliest: bool = field(default=False, init=False, repr=False, compare=False)
-    _has_each_world: bool = field(default=False, init=False, repr=False, compare=False)
+    _is_earliest: bool = field(default=False, repr=False, compare=False)
+    _has_each_world: bool = field(default=False, repr=False, compare=False)
 
     _names: ClassVar[tuple[str, ...]] = COLUMNS
 
@@ -287,7 +288,7 @@ class CountedRows(PairColumns):
     """What results without padding have: any number of rows."""
 
     stats: Stats
-    payload: dict[str, Tensor] = field(default_factory=dict, init=False, repr=False, compare=False)
+    payload: dict[str, Tensor] = field(default_factory=dict, repr=False, compare=False)
 
     def __eq__(self, other: object) -> bool:
         equal = super().__eq__(other)
@@ -374,18 +375,13 @@ class CountedRows(PairColumns):
             count = len(column)
         _check_rows(state, scene)
         _check_stats(state["stats"])
-        result = cls(**{name: state[name] for name in cls._names}, stats=Stats(**state["stats"]))
-        for name in flags:
-            setattr(result, name, arguments.flag(state[name], name))
-        result.scene = scene
-        return result
+        given: dict[str, Any] = {name: state[name] for name in cls._names}
+        given |= {name: arguments.flag(state[name], name) for name in flags}
+        return cls(**given, stats=Stats(**state["stats"]), scene=scene)
 
     def _map(self, change: Callable[[Tensor], Tensor]) -> Self:
         columns: dict[str, Any] = {name: change(column) for name, column in self.columns.items()}
-        changed = replace(self, **columns)
-        changed.scene, changed._is_of_rank = self.scene, self._is_of_rank
-        changed.payload = {name: change(column) for name, column in self.payload.items()}
-        return changed
+        return replace(self, **columns, payload={name: change(column) for name, column in self.payload.items()})
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}(count={len(self)}, pcs={self.stats.pcs}, device={self.pairs.device})"
@@ -448,7 +444,9 @@ class Contacts(WithApproach, ContactColumns, CountedRows):
     """
 
     # See `differentiable`; None if no input required grad.
-    _differentiable: Tensor | None = field(default=None, init=False, repr=False, compare=False)
+    _differentiable: Tensor | None = field(default=None, repr=False, compare=False)
+    # What they were found with; None for those of ranks, of a capacity, or from a state_dict.
+    _cause: Cause | None = field(default=None, repr=False, compare=False)
 
     @property
     def differentiable(self) -> Tensor:
@@ -483,12 +481,8 @@ class Contacts(WithApproach, ContactColumns, CountedRows):
             owner, count = owners(self.pairs, self.scene, by)
             row = earliest_of_each(owner[::2], count, *order)
         found = self[row]
-        earliest = replace(found, stats=replace(found.stats, contacts=len(found)))
-        earliest.scene, earliest.payload, earliest._differentiable = self.scene, found.payload, found._differentiable
-        earliest._cause = self._cause
-        earliest._is_of_rank, earliest._is_earliest = self._is_of_rank, True
-        earliest._has_each_world = by == "world"
-        return earliest
+        stats = replace(found.stats, contacts=len(found))
+        return replace(found, stats=stats, _is_earliest=True, _has_each_world=by == "world")
 
     @property
     def _order(self) -> tuple[Tensor, ...]:
@@ -502,9 +496,7 @@ class Contacts(WithApproach, ContactColumns, CountedRows):
 
     def _map(self, change: Callable[[Tensor], Tensor]) -> Self:
         changed = super()._map(change)
-        changed._is_earliest, changed._has_each_world = self._is_earliest, self._has_each_world
         changed._differentiable = None if self._differentiable is None else change(self._differentiable)
-        changed._cause = self._cause
         return changed
 
 
@@ -548,10 +540,6 @@ def _flags_of(result: type[PairColumns]) -> list[str]:
 def contacts_of(rows: ContactRows, report: str, stats: Stats, scene: Scene | None = None) -> Contacts | CollidingPairs:
     """The result of a search, from rows with body pairs in the first column; of report="any" these are all."""
     if report == "any":
-        pairs = CollidingPairs(pairs=rows[0], stats=stats)
-        pairs.scene = scene
-        return pairs
+        return CollidingPairs(pairs=rows[0], stats=stats, scene=scene)
     columns: dict[str, Any] = dict(zip(COLUMNS, rows, strict=True))
-    contacts = Contacts(**columns, stats=stats)
-    contacts.scene, contacts._is_earliest = scene, report == "earliest"
-    return contacts
+    return Contacts(**columns, stats=stats, scene=scene, _is_earliest=report == "earliest")

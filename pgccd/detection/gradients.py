@@ -7,14 +7,11 @@ from torch import Tensor
 
 from pgccd.detection.contacts import Contacts
 from pgccd.detection.derivatives import Corners, differentiate
-from pgccd.detection.narrow import Kind, Status
+from pgccd.detection.kinds import EDGE, FACE, FEATURES, Kind, Status
 from pgccd.geometry.mesh import MeshSet
 from pgccd.geometry.scene import Scene
 from pgccd.motion.differentiable import oriented, rows_of, turned, with_gradient_of
 from pgccd.motion.paths import RigidMotion, VertexMotion
-
-# Columns of `MeshSet.offsets`, by kind and side: which features `features` counts.
-_COLUMNS = ((0, 1), (1, 0), (2, 2), (2, 1), (1, 2))
 
 
 def add_gradients(
@@ -66,10 +63,10 @@ def corner_points(
 
 def _corner_rows(meshes: MeshSet, mesh: Tensor, kind: Tensor, features: Tensor) -> Tensor:
     """(K, 2, 3) int64: rows of the corners among the vertices of their meshes (K, 2), see `Corners`."""
-    counted = torch.tensor(_COLUMNS, device=kind.device)[kind.long()]  # (K, 2): 0 vertex, 1 face, 2 edge
+    counted = torch.tensor(FEATURES, device=kind.device)[kind.long()]  # (K, 2)
     row = meshes.offsets.to(kind.device)[mesh, counted] + features.long()
     faces, edges = (tensor.long() for tensor in meshes.tensors[1:3])
-    is_face, is_edge = counted == 1, counted == 2
+    is_face, is_edge = counted == FACE, counted == EDGE
     of_face = faces[torch.where(is_face, row, 0)]
     of_edge = edges[torch.where(is_edge, row, 0)]
     first, last = of_edge.unbind(2)

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Final, Literal
+from typing import Literal
 
 import torch
 from torch import Tensor
@@ -20,6 +20,7 @@ from pgccd.detection.checks import (
 )
 from pgccd.detection.contacts import ContactRows, take_earliest
 from pgccd.detection.derivatives import Corners, differentiate
+from pgccd.detection.kinds import FEATURES, Kind, Status
 from pgccd.motion.differentiable import any_differentiated, with_gradient_of
 
 __all__ = ["ContactReport", "ElementaryResult", "Kind", "Report", "Status", "edge_edge", "find_contacts", "vertex_face"]
@@ -32,61 +33,6 @@ REPORTS: dict[str, int] = {"any": 0, "first": 1, "all": 2, "earliest": 3}
 
 # Elementary tests have no radius that the tolerance could be relative to.
 _ELEMENTARY_TOLERANCE = 1e-6
-
-
-class _NamedIntegers:
-    # Not an IntEnum: torch.compile treats the comparison of a tensor with a member of an enumeration as constant.
-
-    @classmethod
-    def names(cls) -> dict[int, str]:
-        """The name of each value.
-
-        Example:
-            >>> pgccd.Kind.names()[2]
-            'EE'
-        """
-        return {value: name for name, value in vars(cls).items() if name.isupper()}
-
-
-class Kind(_NamedIntegers):
-    """Values of `kind`, plain integers: which features of a pair (i, j) touch. `features` lists that of i first.
-
-    Attributes:
-        VF_AB: vertex of i, face of j.
-        VF_BA: face of i, vertex of j.
-        EE: edge of i, edge of j.
-        EF_AB: edge of i that passes through a face of j at t = 0.
-        EF_BA: face of i, edge of j that passes through it at t = 0.
-
-    Of a body with itself, i = j, there are VF_AB, EE with the smaller edge first, and EF_AB.
-
-    Example:
-        >>> edges = hits[hits.kind == pgccd.Kind.EE]
-    """
-
-    VF_AB: Final = 0
-    VF_BA: Final = 1
-    EE: Final = 2
-    EF_AB: Final = 3
-    EF_BA: Final = 4
-
-
-class Status(_NamedIntegers):
-    """Values of `status`, plain integers: how a test ended.
-
-    Attributes:
-        FREE: certainly no contact.
-        TOUCH: the features come within min_separation + tolerance.
-        UNRESOLVED: the iteration budget was spent; counts as a contact.
-
-    Example:
-        >>> hits[hits.status == pgccd.Status.UNRESOLVED]
-        Contacts(count=0, pcs=1, device=cpu)
-    """
-
-    FREE: Final = 0
-    TOUCH: Final = 1
-    UNRESOLVED: Final = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,7 +206,7 @@ def _names_features(bodies: MovingBodies, pairs: Tensor, candidates: Tensor) -> 
     counts = offsets[1:] - offsets[:-1]  # vertices, faces, edges
     row, kind = torch.where(known, row, 0), torch.where(known, kind, 0)
     # The column of `counts` that bounds each body's feature index, by kind.
-    column = torch.tensor([[0, 1], [1, 0], [2, 2], [2, 1], [1, 2]], device=bodies.device)
+    column = torch.tensor(FEATURES, device=bodies.device)
     for side in (0, 1):
         mesh = bodies.scene.mesh_index[pairs[row, side]].long() if len(pairs) else row
         known = known & (features[side] >= 0) & (features[side] < counts[mesh, column[kind, side]])

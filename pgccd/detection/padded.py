@@ -66,19 +66,16 @@ class PaddedSearch:
             "capacity": self.capacity,
             "broad_phase": self.broad_phase,
             "bodies": self.bodies.scene.body_count,
+            "scene": self.bodies.scene,
             "_validation": self.bodies._validation,
+            "_reach": self.reach,
         }
         if self.query.report == "any":
-            pairs = PaddedCollidingPairs(pairs=rows[0], **of_search)
-            pairs.scene, pairs._reach = self.bodies.scene, self.reach
-            return pairs
+            return PaddedCollidingPairs(pairs=rows[0], **of_search)
         columns: dict[str, Any] = dict(zip(COLUMNS, rows, strict=True))
-        found_toi = columns["toi"]
-        columns["toi"] = found_toi.masked_fill(incomplete, 0.0)
-        padded = PaddedContacts(**columns, **of_search)
-        padded.scene, padded._found_toi, padded._reach = self.bodies.scene, found_toi, self.reach
-        padded._is_earliest = self.query.report == "earliest"
-        return padded
+        of_search |= {"_found_toi": columns["toi"], "_is_earliest": self.query.report == "earliest"}
+        columns["toi"] = columns["toi"].masked_fill(incomplete, 0.0)
+        return PaddedContacts(**columns, **of_search)
 
 
 def counts_of_given(pairs: Tensor, count: Tensor | None = None) -> Tensor:

@@ -27,7 +27,7 @@ class PaddedRows(PairColumns):
     bodies: int
     _validation: Validation
     # `PaddedSearch.reach`.
-    _reach: Tensor | None = field(default=None, init=False, repr=False, compare=False)
+    _reach: Tensor | None = field(default=None, repr=False, compare=False)
 
     @property
     def invalid(self) -> Tensor:
@@ -61,7 +61,8 @@ class PaddedRows(PairColumns):
         count = min(counts.contacts, len(self.pairs))  # "earliest" has one row
         columns = {name: column[:count] for name, column in self.columns.items()}
         waits = int(self.counts.is_cuda)
-        return columns | {"stats": stats_of(counts, capacity, self.bodies, count, self.broad_phase, waits)}
+        stats = stats_of(counts, capacity, self.bodies, count, self.broad_phase, waits)
+        return columns | {"stats": stats, "scene": self.scene}
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}(capacity={len(self.pairs)}, device={self.pairs.device})"
@@ -92,7 +93,7 @@ class PaddedContacts(ContactColumns, PaddedRows):
     """
 
     # The toi that were found, where those of an incomplete result are 0.
-    _found_toi: Tensor | None = field(default=None, init=False, repr=False, compare=False)
+    _found_toi: Tensor | None = field(default=None, repr=False, compare=False)
 
     def first_toi(self, by: By = "scene") -> Tensor:
         if by == "scene" or self._reach is None or self._found_toi is None:
@@ -121,9 +122,7 @@ class PaddedContacts(ContactColumns, PaddedRows):
         Example:
             >>> hits = pgccd.detect(scene, motion, capacity=capacity).trim()
         """
-        contacts = Contacts(**self._trimmed())
-        contacts.scene, contacts._is_earliest = self.scene, self._is_earliest
-        return contacts
+        return Contacts(**self._trimmed(), _is_earliest=self._is_earliest)
 
 
 @dataclass(eq=False, kw_only=True, repr=False)
@@ -146,9 +145,7 @@ class PaddedCollidingPairs(WithoutTimes, PaddedRows):
         Example:
             >>> colliding = pgccd.detect(scene, motion, "any", capacity=capacity).trim()
         """
-        colliding = CollidingPairs(**self._trimmed())
-        colliding.scene = self.scene
-        return colliding
+        return CollidingPairs(**self._trimmed())
 
 
 def checked_counts(values: Sequence[int], capacity: BufferSizes, validation: Validation, later: bool = False) -> Counts:

@@ -10,15 +10,12 @@ from torch import Tensor
 
 from pgccd import ops
 from pgccd.detection.contacts import Contacts
-from pgccd.detection.narrow import Kind
+from pgccd.detection.kinds import EDGE, FACE, FEATURES, VERTEX, Kind
 from pgccd.geometry.incidence import Incidence
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.vectors import cross, dot, norm
 
-# Of the kinds, by side (i, j): which features `features` counts; columns of `MeshSet.offsets`.
-VERTEX, FACE, EDGE = 0, 1, 2
-_COUNTED = ((VERTEX, FACE), (FACE, VERTEX), (EDGE, EDGE), (EDGE, FACE), (FACE, EDGE))
 # Coordinates of a point on the border of a feature may differ from 0 and 1 by so much, which is rounding.
 _ROUNDED = 2.0**-46
 # Offsets below this part of the size of what was subtracted may be rounding.
@@ -57,7 +54,7 @@ class Sites:
         meshes, device = self.scene.meshes, self.kind.device
         self.mesh = self.scene.mesh_index[self.bodies].long()
         #: (K, 2): what each feature is
-        self.counted = torch.tensor(_COUNTED, device=device)[self.kind.long()]
+        self.counted = torch.tensor(FEATURES, device=device)[self.kind.long()]
         offsets = meshes.offsets.to(device)
         #: (K, 2) int64
         self.feature = offsets[self.mesh, self.counted] + self.features.long()
@@ -188,8 +185,10 @@ class Sites:
     def corners(self, side: int) -> Tensor:
         """(K, 3): vertices of the features of one side; of an edge the second twice, of a vertex the same."""
         kind, feature = self.counted[:, side], self.feature[:, side]
-        faces = self.incidence.faces[torch.where(kind == FACE, feature, 0)]
-        edges = self.incidence.edges[torch.where(kind == EDGE, feature, 0)][:, [0, 1, 1]]
+        _, of_faces, of_edges, *_ = self.scene.meshes.tensors  # vertices of their mesh
+        first = self.first_vertex[:, side, None]
+        faces = first + of_faces[torch.where(kind == FACE, feature, 0)].long()
+        edges = first + of_edges[torch.where(kind == EDGE, feature, 0)].long()[:, [0, 1, 1]]
         vertex = feature[:, None].expand(-1, 3)
         return torch.where((kind == FACE)[:, None], faces, torch.where((kind == EDGE)[:, None], edges, vertex))
 

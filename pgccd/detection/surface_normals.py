@@ -13,8 +13,8 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from pgccd.detection.narrow import Kind
-from pgccd.detection.sites import EDGE, FACE, VERTEX, Sites, reduced
+from pgccd.detection.kinds import EDGE, FACE, VERTEX, Kind
+from pgccd.detection.sites import Sites, reduced
 from pgccd.motion.differentiable import sum_by_row
 from pgccd.motion.vectors import cross, dot, norm, unit_or_zero
 

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import ClassVar, Protocol
+from typing import Any, ClassVar, Protocol
 
 import torch
 from torch import Tensor
@@ -137,9 +137,7 @@ def detect_trajectory(
     if isinstance(found, CollidingPairs):
         bodies = torch.unique(bodies, dim=0) if len(bodies) else bodies
         stats = replace(found.stats, bodies=scene.body_count, needed=None, contacts=len(bodies))
-        colliding = CollidingPairs(pairs=bodies, stats=stats)
-        colliding.scene = scene
-        return colliding
+        return CollidingPairs(pairs=bodies, stats=stats, scene=scene)
     return _of_trajectory(found, scene, trajectory.segment_count, query.report)
 
 
@@ -153,19 +151,23 @@ def _of_trajectory(found: Contacts, scene: Scene, segments: int, report: narrow.
     elif report == "earliest" and len(pairs):
         first = segment[0]  # rows are sorted by segment
         chosen = earliest_row(torch.where(segment == first, found.toi, torch.inf))
-    columns = {name: column[chosen] for name, column in (found.columns | {"pairs": pairs}).items()}
+    columns: dict[str, Any] = {name: column[chosen] for name, column in (found.columns | {"pairs": pairs}).items()}
     segment = segment[chosen]
     time = time_along(segment, columns["toi"].detach(), segments)
     if columns["toi"].requires_grad:
         time = with_gradient_of(time, columns["toi"] / segments, "time")
     stats = replace(found.stats, bodies=count, needed=None, contacts=len(segment))
-    contacts = TrajectoryContacts(**columns, stats=stats, segment=segment, time=time)
-    contacts.scene = scene
-    contacts._is_earliest = report == "earliest"
-    contacts._differentiable = None if found._differentiable is None else found._differentiable[chosen]
-    if found._cause is not None:
-        contacts._cause = replace(found._cause, again=partial(_approaching, found, scene, segments))
-    return contacts
+    again = partial(_approaching, found, scene, segments)
+    return TrajectoryContacts(
+        **columns,
+        stats=stats,
+        segment=segment,
+        time=time,
+        scene=scene,
+        _is_earliest=report == "earliest",
+        _differentiable=None if found._differentiable is None else found._differentiable[chosen],
+        _cause=None if found._cause is None else replace(found._cause, again=again),
+    )
 
 
 def _approaching(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -65,7 +66,8 @@ def _gather_step(comm: Comm, step: Step, one_in: int) -> Step:
     resolution = replace(step.resolution, fraction=before.pop("fraction"))
     contacts["pairs"] = torch.searchsorted(before["id"], contacts["pairs"])
     order = torch.argsort(contacts["pairs"][:, 0] * max(1, len(before["id"])) + contacts["pairs"][:, 1])
-    whole = Contacts(**take_rows(contacts, order), stats=found.stats)
+    rows: dict[str, Any] = take_rows(contacts, order)
+    whole = Contacts(**rows, stats=found.stats)
     planned = RobotState(**before)
     after = respond(planned, resolution.fraction)
     return Step(step.index, planned, resolution, after, lambda: whole, lambda: step.record)

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from pgccd import arguments, ops
 from pgccd.detection.contacts import ContactColumns, PairColumns
-from pgccd.detection.narrow import Status
+from pgccd.detection.kinds import Status
 from pgccd.detection.padded_contacts import PaddedContacts
 from pgccd.detection.trajectories import TrajectoryContacts
 from pgccd.geometry.columns import require_meshes

@@ -31,9 +31,7 @@ def tell_owners(found: Share, payload: Columns | None = None) -> Contacts | Coll
         payload: columns of the own bodies (N, ...) that contacts carry; those of ghosts have been sent with them.
     """
     columns = columns_for_owners(found, found.contacts.columns | _payload_of_pairs(found, payload))
-    told = _told(found, columns)
-    told._is_of_rank = found.held.route.neighbours.comm.size > 1
-    return told
+    return _told(found, columns, _is_of_rank=found.held.route.neighbours.comm.size > 1)
 
 
 def columns_for_owners(found: Share, columns: Columns) -> Columns:
@@ -68,9 +66,8 @@ def earliest_for_all(comm: Comm, found: Share, ids: int | None = None, payload: 
     columns = {name: column[row] for name, column in columns.items()}
     # Floats >= 0 have the same order as their bits.
     order = torch.stack([segment[row], columns["toi"].view(torch.int64), i[row], j[row]], dim=1)
-    earliest = _told(found, first_row(comm, order, columns))
+    earliest = _told(found, first_row(comm, order, columns), _is_earliest=True)
     assert isinstance(earliest, Contacts)
-    earliest._is_earliest = True
     return earliest
 
 
@@ -90,12 +87,11 @@ def _payload_of_pairs(found: Share, payload: Columns | None) -> Columns:
     }
 
 
-def _told(found: Share, columns: Columns) -> Contacts | CollidingPairs:
+def _told(found: Share, columns: Columns, **flags: Any) -> Contacts | CollidingPairs:
     """Contacts of their columns and those of `_payload_of_pairs`."""
     of_contacts: dict[str, Any] = {name: column for name, column in columns.items() if not name.startswith(_PAYLOAD)}
-    told = type(found.contacts)(**of_contacts, stats=found.contacts.stats)
-    told.payload = {name.removeprefix(_PAYLOAD): columns[name] for name in columns if name.startswith(_PAYLOAD)}
-    return told
+    payload = {name.removeprefix(_PAYLOAD): columns[name] for name in columns if name.startswith(_PAYLOAD)}
+    return type(found.contacts)(**of_contacts, **flags, stats=found.contacts.stats, payload=payload)
 
 
 def _canonical_order(pairs: Tensor) -> Tensor:

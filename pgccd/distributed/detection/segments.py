@@ -89,14 +89,11 @@ class Segments:
 
     def _of(self, contacts: Contacts | CollidingPairs) -> TrajectoryContacts | CollidingPairs:
         """From contacts of the bodies of all segments."""
-        columns: dict[str, Any] = contacts.columns | {"stats": contacts.stats}
+        columns: dict[str, Any] = contacts.columns | {"stats": contacts.stats, "payload": contacts.payload}
+        columns["_is_of_rank"] = contacts._is_of_rank
         segment = torch.div(contacts.pairs[:, 0], self.ids, rounding_mode="floor")
         columns["pairs"] = contacts.pairs - self.ids * segment[:, None]
         if isinstance(contacts, CollidingPairs):
-            colliding = CollidingPairs(**columns)
-            colliding._is_of_rank, colliding.payload = contacts._is_of_rank, contacts.payload
-            return colliding
-        found = TrajectoryContacts(**columns, segment=segment, time=time_along(segment, contacts.toi, self.count))
-        found._is_earliest, found._is_of_rank = contacts._is_earliest, contacts._is_of_rank
-        found.payload = contacts.payload
-        return found
+            return CollidingPairs(**columns)
+        time = time_along(segment, contacts.toi, self.count)
+        return TrajectoryContacts(**columns, segment=segment, time=time, _is_earliest=contacts._is_earliest)
