@@ -191,8 +191,8 @@ class PCCCD:
             chunks=1,
             seconds=clock.seconds,
         )
-        of_contacts: dict[str, Any] = received
-        return Contacts(**of_contacts, stats=stats)
+        told: dict[str, Any] = received
+        return Contacts(**told, stats=stats)
 
     def balance(self) -> None:
         """Balances the number of boxes per rank in the last call of `detect` by moving voxels: the largest first, each
