@@ -22,7 +22,7 @@ from support.scenes import MixedWorld
 from torch import Tensor
 
 import pgccd
-from pgccd.detection.broad import BroadPhase
+from pgccd.search.broad import BroadPhase
 
 _ROBOTS = {"cpu": 4_000, "cuda": 100_000}
 # Limit for separate vertices per body: these take 17 kB per robot, hierarchies 30 kB.

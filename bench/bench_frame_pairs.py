@@ -19,7 +19,7 @@ import torch
 from support import frame_pairs, results, timing
 
 import pgccd
-from pgccd.detection.checks import Initial
+from pgccd.search.checks import Initial
 
 # "all": a toi for every colliding pair; "earliest": the first toi of the whole step.
 _REPORTS: tuple[pgccd.narrow.Report, ...] = ("all", "earliest")

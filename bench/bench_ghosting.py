@@ -20,8 +20,8 @@ from support import results, timing
 from torch import Tensor
 
 from pgccd import broad, distributed, ops, sim
-from pgccd.detection.bodies import MovingBodies
 from pgccd.distributed import Cells
+from pgccd.search.bodies import MovingBodies
 
 _ROWS = 1 << 18  # (body, rank) entries per chunk
 

@@ -8,18 +8,9 @@ from pgccd import _requirements as _requirements  # first: its errors say what i
 from pgccd._host import build_information as _build_information
 from pgccd.auditing.audit import audit
 from pgccd.auditing.results import Audit, Passages, Touching
-from pgccd.detection import broad, narrow, traverse
-from pgccd.detection.bodies import MovingBodies
-from pgccd.detection.capacity import Capacity, CapacityError
-from pgccd.detection.captured import CapturedDetection
-from pgccd.detection.contacts import CollidingPairs, Contacts, Stats
-from pgccd.detection.distance import Distances, distance
-from pgccd.detection.enclosed import enclosed
-from pgccd.detection.kinds import Kind, Status
-from pgccd.detection.narrow import Report
-from pgccd.detection.padded_contacts import PaddedCollidingPairs, PaddedContacts
-from pgccd.detection.pipeline import detect
-from pgccd.detection.trajectories import TrajectoryContacts
+from pgccd.contacts.contacts import CollidingPairs, Contacts, Stats
+from pgccd.contacts.kinds import Kind, Status
+from pgccd.contacts.padded import PaddedCollidingPairs, PaddedContacts
 from pgccd.geometry.mesh import Mesh, MeshSet
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
@@ -28,6 +19,15 @@ from pgccd.motion.trajectory import Trajectory
 from pgccd.resolution.resolve import resolve
 from pgccd.resolution.results import PaddedResolution, Resolution
 from pgccd.resolution.trajectories import TrajectoryResolution
+from pgccd.search import broad, narrow, traverse
+from pgccd.search.bodies import MovingBodies
+from pgccd.search.captured import CapturedDetection
+from pgccd.search.detect import detect
+from pgccd.search.distance import Distances, distance
+from pgccd.search.enclosed import enclosed
+from pgccd.search.narrow import Report
+from pgccd.search.sizes import Capacity, CapacityError
+from pgccd.search.trajectories import TrajectoryContacts
 
 if _TYPE_CHECKING:
     from pgccd import about, baselines, distributed, files, robots, sim, simulators, viz

@@ -16,13 +16,13 @@ from pgccd import distributed, sim
 from pgccd.about import describe_installation
 from pgccd.checkpoint.files import KEEP
 from pgccd.checkpoint.lock import FolderError
-from pgccd.detection.broad import BROAD_PHASES
-from pgccd.detection.narrow import REPORTS
 from pgccd.distributed.checkpoint.reading import open_stored
 from pgccd.distributed.launch.agreement import on_first, together
 from pgccd.files import bodies_and_poses, frame_columns, iterate_frames, load_configurations, load_motion
 from pgccd.geometry.origin import Origin
 from pgccd.runtime.memory import is_out_of_memory
+from pgccd.search.broad import BROAD_PHASES
+from pgccd.search.narrow import REPORTS
 from pgccd.sim import command
 from pgccd.sim.checkpoint import Header, require_checkpoint
 from pgccd.sim.pictures import shown_steps, write_pictures

@@ -138,7 +138,7 @@ def namespace(module: str) -> dict[str, Any]:
         if module == "pgccd.distributed.world.captured":
             payload |= {"q": names["q0"], "v": names["v"], "w": names["w"]}
         names["world"] = distributed.World.create([names["rock"]], (0, 0, 0), (9, 9, 9), names["x"], payload=payload)
-    if module == "pgccd.detection.narrow":
+    if module == "pgccd.search.narrow":
         names |= dict.fromkeys(("x0", "x1"), torch.rand(5, 4, 3))
     if module == "pgccd.runtime.stages":
         names |= of_robots() | {"step": 0}

@@ -16,7 +16,7 @@ from support.same_bits import COLUMNS
 from support.ways import reference
 
 import pgccd
-from pgccd.detection import pipeline
+from pgccd.search import detect as pipeline
 
 # Of some contacts, found in several chunks if memory is limited.
 SEED = 53

@@ -14,19 +14,19 @@ from pgccd import arguments
 from pgccd.auditing.results import Audit, Passages, Touching
 from pgccd.auditing.runs import Runs
 from pgccd.auditing.windows import Frame, windows
-from pgccd.detection import broad
-from pgccd.detection.checks import warn_of_only_body
-from pgccd.detection.contacts import CollidingPairs, Contacts
-from pgccd.detection.enclosed import enclosed_pairs
-from pgccd.detection.pipeline import DetectOptions, detect
-from pgccd.detection.query import Query
-from pgccd.detection.sites import Sites
-from pgccd.detection.streaming import join_contacts
-from pgccd.detection.trajectories import detect_segments, repeated, time_along
+from pgccd.contacts.contacts import CollidingPairs, Contacts
+from pgccd.contacts.sites import Sites
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import PATHS, PathKind, RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
 from pgccd.motion.vectors import dot
+from pgccd.search import broad
+from pgccd.search.checks import warn_of_only_body
+from pgccd.search.detect import DetectOptions, detect
+from pgccd.search.enclosed import enclosed_pairs
+from pgccd.search.query import Query
+from pgccd.search.streaming import join_contacts
+from pgccd.search.trajectories import detect_segments, repeated, time_along
 
 #: Whether bodies at rest, of several copies of a scene, do something in pairs (P, 2): (P,) bool.
 _Test: TypeAlias = Callable[[Scene, RigidMotion | VertexMotion, Tensor], Tensor]

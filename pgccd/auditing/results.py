@@ -7,9 +7,9 @@ from typing import ClassVar
 
 from torch import Tensor
 
-from pgccd.detection.contacts import COLUMNS, Contacts
-from pgccd.detection.trajectories import TrajectoryContacts
+from pgccd.contacts.contacts import COLUMNS, Contacts
 from pgccd.motion.paths import RigidMotion, VertexMotion
+from pgccd.search.trajectories import TrajectoryContacts
 
 
 @dataclass(eq=False, kw_only=True, repr=False)

@@ -20,11 +20,7 @@ from pgccd import arguments, ops
 from pgccd.baselines.triangle_pairs import feature_candidates
 from pgccd.baselines.voxel_boxes import VoxelContents, send_boxes
 from pgccd.baselines.voxel_directory import VoxelDirectory, first_rows, greedy_ranks, voxel_keys
-from pgccd.detection import narrow
-from pgccd.detection.bodies import MovingBodies
-from pgccd.detection.checks import Initial
-from pgccd.detection.contacts import COLUMNS, Contacts, Stats
-from pgccd.detection.query import Query
+from pgccd.contacts.contacts import COLUMNS, Contacts, Stats
 from pgccd.distributed.comm.exchange import Columns, make_route, take_rows
 from pgccd.distributed.comm.interface import Alone, Comm
 from pgccd.distributed.launch.agreement import require_agreement, together
@@ -33,6 +29,10 @@ from pgccd.geometry.mesh import Mesh, MeshSet
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion
 from pgccd.runtime.stages import StageClock
+from pgccd.search import narrow
+from pgccd.search.bodies import MovingBodies
+from pgccd.search.checks import Initial
+from pgccd.search.query import Query
 
 # For the nanorobots; from 6 to 9 edges the time is within a tenth of the minimum, at 15 twice the minimum.
 _EDGES_A_VOXEL = 8.0

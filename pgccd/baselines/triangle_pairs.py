@@ -3,8 +3,8 @@
 import torch
 from torch import Tensor
 
-from pgccd.detection.bodies import MovingBodies
-from pgccd.detection.kinds import Kind
+from pgccd.contacts.kinds import Kind
+from pgccd.search.bodies import MovingBodies
 
 # Columns of a row of `MeshSet` triangles: core/mesh_set.h.
 _VERTEX, _EDGE, _FACE, _REPRESENTED = slice(0, 3), slice(3, 6), 6, 7

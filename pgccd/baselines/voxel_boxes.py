@@ -7,10 +7,10 @@ from torch import Tensor
 
 from pgccd import ops
 from pgccd.baselines.voxel_directory import VoxelDirectory, first_rows, voxel_keys
-from pgccd.detection.bodies import MovingBodies
 from pgccd.distributed.comm.exchange import make_route
 from pgccd.distributed.comm.interface import Comm
 from pgccd.runtime.stages import StageClock
+from pgccd.search.bodies import MovingBodies
 
 
 @dataclass(frozen=True)

@@ -188,7 +188,7 @@ class Scene:
     #: Whether the columns come from a validated scene and are not checked again.
     _is_trusted: bool = False
 
-    # Capacity estimates by kind of step, managed by `pgccd.detection.memory`. They change how often a step is repeated
+    # Capacity estimates by kind of step, managed by `pgccd.search.memory`. They change how often a step is repeated
     # on a GPU, never its result.
     _own_estimates: dict[Hashable, Any] | None = None
 

@@ -10,17 +10,7 @@ import torch
 from torch import Tensor
 
 from pgccd import arguments
-from pgccd.detection import broad
-from pgccd.detection.bodies import MovingBodies
-from pgccd.detection.capacity import COUNT_ROWS, BufferSizes, Capacity, overflow_flags, sizes_of
-from pgccd.detection.checks import Initial, warn_of_only_body, warn_of_rounded_positions
-from pgccd.detection.contacts import Contacts
-from pgccd.detection.memory import CapacityEstimate
-from pgccd.detection.padded import search_padded
-from pgccd.detection.passes import SearchPass, find_pass
-from pgccd.detection.pipeline import detect_moving
-from pgccd.detection.query import Query
-from pgccd.detection.trajectories import check_trajectory
+from pgccd.contacts.contacts import Contacts
 from pgccd.geometry.columns import bool_column
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
@@ -33,6 +23,16 @@ from pgccd.resolution.stoppers import Stoppers
 from pgccd.resolution.trajectories import TrajectoryResolution, resolve_segments
 from pgccd.runtime.host_copy import HostCopy
 from pgccd.runtime.stages import StageClock
+from pgccd.search import broad
+from pgccd.search.bodies import MovingBodies
+from pgccd.search.checks import Initial, warn_of_only_body, warn_of_rounded_positions
+from pgccd.search.detect import detect_moving
+from pgccd.search.memory import CapacityEstimate
+from pgccd.search.padded import search_padded
+from pgccd.search.passes import SearchPass, find_pass
+from pgccd.search.query import Query
+from pgccd.search.sizes import COUNT_ROWS, BufferSizes, Capacity, overflow_flags, sizes_of
+from pgccd.search.trajectories import check_trajectory
 
 # All of them are enqueued; from the fifth on each one stops a body for good.
 _MOST_ROUNDS = 1000

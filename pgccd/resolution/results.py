@@ -8,9 +8,9 @@ from typing import Any, Generic, TypeVar
 import torch
 from torch import Tensor
 
-from pgccd.detection.capacity import BufferSizes, CapacityError, Counts
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.validation import Validation
+from pgccd.search.sizes import BufferSizes, CapacityError, Counts
 
 M = TypeVar("M", bound=RigidMotion | VertexMotion)
 

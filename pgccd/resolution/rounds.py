@@ -19,8 +19,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from pgccd import ops
-from pgccd.detection.capacity import COUNT_ROWS, BufferSizes, Counts
-from pgccd.detection.passes import SearchPass, pairs_of_rounds, search_seconds
 from pgccd.resolution.counts import GatheredCounts, Rows, SearchCounts
 from pgccd.resolution.round_plan import RoundPlan
 from pgccd.resolution.slowing import STOPPING_ROUND, SlowedBodies
@@ -28,6 +26,8 @@ from pgccd.resolution.stoppers import Stoppers
 from pgccd.runtime.graph import conditional
 from pgccd.runtime.host_copy import HostCopy
 from pgccd.runtime.stages import StageClock
+from pgccd.search.passes import SearchPass, pairs_of_rounds, search_seconds
+from pgccd.search.sizes import COUNT_ROWS, BufferSizes, Counts
 
 # Rounds added at a time if those of the plan do not suffice.
 _MORE_ROUNDS = 2
@@ -84,7 +84,7 @@ class RoundSearch(Protocol):
             first: (N,) float64: first toi, relative to the part that each body moves; lowered in place.
 
         Returns:
-            (22,) int64 on the device: `pgccd.detection.capacity.Counts`.
+            (22,) int64 on the device: `pgccd.search.sizes.Counts`.
         """
         ...
 

@@ -8,15 +8,15 @@ import torch
 from torch import Tensor
 
 from pgccd import ops
-from pgccd.detection import broad
-from pgccd.detection.bodies import MovingBodies
-from pgccd.detection.capacity import COUNT_ROWS, BufferSizes
-from pgccd.detection.memory import memory_limit
-from pgccd.detection.passes import SearchPass
-from pgccd.detection.query import Query
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.resolution.stoppers import Stoppers
+from pgccd.search import broad
+from pgccd.search.bodies import MovingBodies
+from pgccd.search.memory import memory_limit
+from pgccd.search.passes import SearchPass
+from pgccd.search.query import Query
+from pgccd.search.sizes import COUNT_ROWS, BufferSizes
 
 
 @dataclass(eq=False)

@@ -10,8 +10,6 @@ import torch
 from torch import Tensor
 
 from pgccd import arguments
-from pgccd.detection.pipeline import detect
-from pgccd.detection.trajectories import repeated, time_along
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion
 from pgccd.motion.vectors import square_root
@@ -19,6 +17,8 @@ from pgccd.robots.certificate import Certificate, Verdict
 from pgccd.robots.obstacles import Obstacles
 from pgccd.robots.robot import LARGEST_VALUE, Robot
 from pgccd.robots.stray import LONGEST_TURN, MOST_TURN, turns
+from pgccd.search.detect import detect
+from pgccd.search.trajectories import repeated, time_along
 
 # Bodies in one call.
 _BODIES_AT_ONCE = 400_000

@@ -15,8 +15,6 @@ import torch
 from torch import Tensor
 
 from pgccd import arguments
-from pgccd.detection.pipeline import detect
-from pgccd.detection.trajectories import repeated
 from pgccd.geometry.mesh import Mesh
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion
@@ -25,6 +23,8 @@ from pgccd.robots.kinematics import Joint, Poses, Tree
 from pgccd.robots.obstacles import Obstacles
 from pgccd.robots.shapes import PLANE, ThickSurface, joined
 from pgccd.robots.stray import LONGEST_TURN, MOST_TURN, Chains, pose_error, stray_bound, turns
+from pgccd.search.detect import detect
+from pgccd.search.trajectories import repeated
 
 if TYPE_CHECKING:
     from pgccd.robots.certificate import Certificate

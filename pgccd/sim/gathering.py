@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from pgccd.detection.contacts import Contacts
+from pgccd.contacts.contacts import Contacts
 from pgccd.distributed.comm.exchange import Columns, make_route, take_rows
 from pgccd.distributed.comm.interface import Comm
 from pgccd.sim.model import RobotState

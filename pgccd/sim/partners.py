@@ -3,10 +3,10 @@
 import torch
 from torch import Tensor
 
-from pgccd.detection.capacity import COUNT_ROWS, BufferSizes
-from pgccd.detection.memory import memory_limit
-from pgccd.detection.padded import lower_first_toi
-from pgccd.detection.query import Query
+from pgccd.search.memory import memory_limit
+from pgccd.search.padded import lower_first_toi
+from pgccd.search.query import Query
+from pgccd.search.sizes import COUNT_ROWS, BufferSizes
 from pgccd.sim.model import Model
 
 #: Options of the search of the whole step and of every round. nonzero_toi: robots that separate after a contact may
@@ -23,7 +23,7 @@ class Partners:
     equal times of their whole paths.
 
     A robot that is slowed down moves on a part of its path, so two that meet then are near at two times of their whole
-    paths, and `pgccd.detection.passes.pairs_of_rounds` has the pair. No broad phase is needed in a round.
+    paths, and `pgccd.search.passes.pairs_of_rounds` has the pair. No broad phase is needed in a round.
 
     Two that move by the same fraction are not searched: they are at equal times of their whole paths, before the first
     toi that the search of the whole step has certified (docs/explanation/exactness.md, "Rounds of the simulation").

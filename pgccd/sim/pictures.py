@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from pgccd.detection.kinds import Kind
+from pgccd.contacts.kinds import Kind
 from pgccd.geometry.mesh import Mesh
 from pgccd.motion.paths import RigidMotion
 from pgccd.sim.model import Model, ModelConfig, RobotState

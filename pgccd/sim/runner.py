@@ -15,7 +15,6 @@ from typing import Any
 import torch
 
 from pgccd.checkpoint.files import FOLDER, KEEP, checked_keep, require_writable
-from pgccd.detection.broad import BroadPhase
 from pgccd.distributed.checkpoint.partition import load_partition, stored_kind
 from pgccd.distributed.checkpoint.reading import load_share, open_stored
 from pgccd.distributed.checkpoint.shared_folder import hold_together
@@ -25,6 +24,7 @@ from pgccd.distributed.guard import collective
 from pgccd.distributed.launch.agreement import on_first, require_agreement, together
 from pgccd.geometry.digest import meshes_digest
 from pgccd.geometry.mesh import Mesh
+from pgccd.search.broad import BroadPhase
 from pgccd.sim.captured import CommittedStep
 from pgccd.sim.checkpoint import KIND, ROBOTS, Header, StoredCheckpoint, require_checkpoint
 from pgccd.sim.gathering import gather_sample

@@ -7,10 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from pgccd.detection.bodies import MovingBodies
-from pgccd.detection.broad import BroadPhase
-from pgccd.detection.contacts import Contacts
-from pgccd.detection.passes import pairs_of_rounds
+from pgccd.contacts.contacts import Contacts
 from pgccd.distributed.comm.exchange import Columns, take_rows
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.detection.options import SearchOptions
@@ -30,6 +27,9 @@ from pgccd.resolution.rounds import resolve_collisions
 from pgccd.runtime.replayed_steps import GRAPH_SLACK
 from pgccd.runtime.stages import StageClock
 from pgccd.runtime.transaction import Replay
+from pgccd.search.bodies import MovingBodies
+from pgccd.search.broad import BroadPhase
+from pgccd.search.passes import pairs_of_rounds
 from pgccd.sim.captured import CommittedStep, RecentRounds, Searches, StepGraph
 from pgccd.sim.held_exchange import HeldExchange
 from pgccd.sim.model import Model, RobotState

@@ -9,7 +9,7 @@ from typing import Any
 
 from torch import Tensor
 
-from pgccd.detection.contacts import Contacts
+from pgccd.contacts.contacts import Contacts
 from pgccd.distributed.detection.share import Share
 from pgccd.resolution.rounds import Fractions
 from pgccd.sim.model import RobotState

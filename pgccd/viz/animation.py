@@ -11,15 +11,15 @@ import torch
 from torch import Tensor
 
 from pgccd import arguments, ops
-from pgccd.detection.contacts import ContactColumns, PairColumns
-from pgccd.detection.kinds import Status
-from pgccd.detection.padded_contacts import PaddedContacts
-from pgccd.detection.trajectories import TrajectoryContacts
+from pgccd.contacts.contacts import ContactColumns, PairColumns
+from pgccd.contacts.kinds import Status
+from pgccd.contacts.padded import PaddedContacts
 from pgccd.geometry.columns import require_meshes
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.times import fractions_of
 from pgccd.motion.trajectory import Trajectory
+from pgccd.search.trajectories import TrajectoryContacts
 
 _StepMotion: TypeAlias = RigidMotion | VertexMotion
 #: The motion of a scene.

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from pgccd import arguments
 from pgccd.arguments import real_rows
-from pgccd.detection.contacts import ContactColumns, PairColumns
+from pgccd.contacts.contacts import ContactColumns, PairColumns
 from pgccd.geometry.scene import Scene
 
 _GREY, _COLLIDING = (133, 158, 189), (245, 102, 31)

@@ -17,7 +17,6 @@ from torch import Tensor
 
 import pgccd
 from distributed.conftest import World as Ranks
-from pgccd.detection.passes import find_pass
 from pgccd.distributed import (
     BalanceOptions,
     Bodies,
@@ -32,6 +31,7 @@ from pgccd.distributed.halo import sizes as halo_sizes
 from pgccd.distributed.partition import rebalancing
 from pgccd.distributed.partition.balance import BackOff, RankLoads
 from pgccd.distributed.steps import replayed as rank_steps
+from pgccd.search.passes import find_pass
 
 COUNT, STEPS, BOX = 120, 24, 5.5
 

@@ -16,7 +16,6 @@ from support.steps import step_of
 
 from distributed.conftest import World
 from pgccd import sim
-from pgccd.detection.capacity import BufferSizes, Capacity
 from pgccd.distributed import BalanceOptions, Bisection, Cells, Comm
 from pgccd.distributed.halo import sizes as halo_sizes
 from pgccd.distributed.partition.cut import make_partition
@@ -24,6 +23,7 @@ from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.distributed.steps import replayed as rank_steps
 from pgccd.resolution.round_plan import RoundPlan
 from pgccd.runtime import transaction
+from pgccd.search.sizes import BufferSizes, Capacity
 from pgccd.sim import Simulation, Step, starting_share
 from pgccd.sim.gathering import gather_sample
 

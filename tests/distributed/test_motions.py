@@ -15,11 +15,11 @@ from support.shapes import bumpy
 
 import pgccd
 from distributed.conftest import World
-from pgccd.detection.trajectories import TrajectoryContacts
 from pgccd.distributed import BalanceOptions, Comm
 from pgccd.distributed import World as SharedWorld
 from pgccd.distributed.comm.exchange import take_rows
 from pgccd.distributed.halo.vertices import Vertices, vertex_counts
+from pgccd.search.trajectories import TrajectoryContacts
 
 REPORTS = ("first", "all", "any", "earliest")
 COUNT, STEPS = 26, 3

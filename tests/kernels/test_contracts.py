@@ -12,8 +12,8 @@ from support.shapes import approaching
 
 import pgccd
 from pgccd import broad, narrow, sim
-from pgccd.detection.capacity import COUNTS_OF_PAIRS, Counts
 from pgccd.motion.validation import CHECK_NUMBERS
+from pgccd.search.sizes import COUNTS_OF_PAIRS, Counts
 from pgccd.sim import model
 
 CSRC = Path(__file__).resolve().parents[2] / "csrc"

@@ -7,8 +7,8 @@ from fractions import Fraction
 import numpy as np
 import pytest
 import torch
-from detection.test_broad import agreed, check
 from oracle.broad import spheres_meet
+from search.test_broad import agreed, check
 from support.shapes import directions, tensors
 
 from pgccd import ops

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 import pytest
 import torch
-from detection.test_traverse import assert_all_there, candidates, moving
+from search.test_traverse import assert_all_there, candidates, moving
 from strategies import contacts
 from strategies.contacts import Meetings
 from support.candidates import assert_touching, missed

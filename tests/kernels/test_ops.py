@@ -15,8 +15,8 @@ from support.shapes import approaching, tensors, unit_quaternions
 import pgccd
 from pgccd import ops
 from pgccd.baselines import PCCCD
-from pgccd.detection.padded import counts_of_given, lower_first_toi
 from pgccd.distributed import Cells
+from pgccd.search.padded import counts_of_given, lower_first_toi
 from pgccd.sim.partners import FIRST_CONTACTS
 
 Call = tuple[str, tuple[Any, ...]]

@@ -11,7 +11,7 @@ from support.origins import recentred
 from support.shapes import bumpy, tensors, tetrahedron, unit_quaternions
 
 import pgccd
-from pgccd.detection.trajectories import time_along
+from pgccd.search.trajectories import time_along
 
 COLUMNS = ("toi", "kind", "features", "coordinates", "point", "normal", "status")
 

@@ -253,7 +253,7 @@ MUTANTS = [
     ),
     Mutant(
         "margin-not-in-reach",
-        "pgccd/detection/bodies.py",
+        "pgccd/search/bodies.py",
         "reach = (reach + scene.margin) * (1.0 + 2.0**-50)",
         "reach = reach * (1.0 + 2.0**-50)",
         ON_MARGIN,
@@ -261,7 +261,7 @@ MUTANTS = [
     ),
     Mutant(
         "margin-in-reach-0.999",
-        "pgccd/detection/bodies.py",
+        "pgccd/search/bodies.py",
         "reach = (reach + scene.margin) * (1.0 + 2.0**-50)",
         "reach = (reach + 0.999 * scene.margin) * (1.0 + 2.0**-50)",
         ON_MARGIN,
@@ -269,7 +269,7 @@ MUTANTS = [
     ),
     Mutant(
         "margin-in-reach-rounding",
-        "pgccd/detection/bodies.py",
+        "pgccd/search/bodies.py",
         "reach = (reach + scene.margin) * (1.0 + 2.0**-50)",
         "reach = reach + scene.margin",
         ON_MARGIN,

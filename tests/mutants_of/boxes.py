@@ -84,7 +84,7 @@ MUTANTS = [
         TEST,
         "(static_cast<float>(scale * distance) + grown)",
         "static_cast<float>(scale * distance)",
-        ("detection/test_slender.py", *ON_BOXES),
+        ("search/test_slender.py", *ON_BOXES),
     ),
     Mutant(
         "box-stopped-rounding-zero",

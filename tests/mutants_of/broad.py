@@ -18,14 +18,14 @@ MUTANTS = [
         BROAD + "body_volumes.h",
         "bodies.separation + pair_tolerance(bodies.centres, i, j, bodies.tolerance)",
         "bodies.separation",
-        ("detection/test_broad.py", "kernels/test_broad_rounding.py", "detection/test_extremes.py"),
+        ("search/test_broad.py", "kernels/test_broad_rounding.py", "search/test_extremes.py"),
     ),
     Mutant(
         "swept-box-without-tolerance",
         BROAD + "body_volumes.h",
         "bodies.separation + (bodies.tolerance < 0.0 ? -bodies.tolerance * radius : bodies.tolerance)",
         "bodies.separation",
-        ("detection/test_broad.py", "kernels/test_broad_rounding.py", "detection/test_extremes.py"),
+        ("search/test_broad.py", "kernels/test_broad_rounding.py", "search/test_extremes.py"),
     ),
     Mutant(
         "predicate-offset-slack-zero",
@@ -108,7 +108,7 @@ MUTANTS = [
         BROAD + "grid_item.h",
         "span.upper[k] - span.lower[k]",
         "span.upper[k] - span.lower[k] - 1",
-        ("detection/test_broad_phases.py",),
+        ("search/test_broad_phases.py",),
     ),
     Mutant(
         "swept-box-radius-slack-zero",
@@ -236,7 +236,7 @@ MUTANTS = [
         BROAD + "body_volumes.h",
         "if (bodies.elsewhere && bodies.elsewhere[i] && bodies.elsewhere[j]) return false;",
         "",
-        ("detection/test_broad.py",),
+        ("search/test_broad.py",),
         switched=False,
     ),
 ]

@@ -6,7 +6,7 @@ from mutants_of.mutant import DISTANCE, ON_DISTANCE, Mutant
 
 NODES, TRIANGLES = DISTANCE + "node_gap_item.h", DISTANCE + "triangle_gap_item.h"
 SEARCH, PAIR = DISTANCE + "distance_item.h", DISTANCE + "moving_pair.h"
-MEASURE = "pgccd/detection/distance.py"
+MEASURE = "pgccd/search/distance.py"
 ROUNDING = "real errors are a few roundings, which either part of the bound covers alone; see distance-lower-rounding"
 OF_NODES = "spheres, slabs and samples of nodes are rounded outward by 10^-8 of their radius, 10^5 times this"
 BEND = "half_square * larger(curvature + rounding, 0.0) * kRoundedUp"

@@ -216,7 +216,7 @@ MUTANTS = [
         NARROW + "advancement.h",
         "T(4) * error.point + T(64) * T(Precision<T>::unit) * error.extent",
         "T(0)",
-        ("detection/test_narrow_elementary.py::test_tight_tolerance_is_resolved", *ON_NARROW),
+        ("search/test_narrow_elementary.py::test_tight_tolerance_is_resolved", *ON_NARROW),
     ),
     Mutant(
         "determinant-1-unit",
@@ -427,7 +427,7 @@ MUTANTS = [
         NARROW + "advancement.h",
         "smaller(goal, T(0.5) * (distance - separation))",
         "smaller(goal, T(2) * (distance - separation))",
-        ("detection/test_narrow_elementary.py::test_nonzero_toi",),
+        ("search/test_narrow_elementary.py::test_nonzero_toi",),
     ),
     Mutant(
         "crossing-filter-zero",
@@ -441,7 +441,7 @@ MUTANTS = [
         NARROW + "crossing.h",
         "4.0 * (scale * point_error)",
         "0.0 * (scale * point_error)",
-        ("detection/test_unequal_sizes.py::test_starts_that_cross_by_less_than_rounding",),
+        ("search/test_unequal_sizes.py::test_starts_that_cross_by_less_than_rounding",),
     ),
     Mutant(
         "crossing-filter-only",
@@ -462,7 +462,7 @@ MUTANTS = [
         CORE + "exact_volume.h",
         "two_sum(a[k].low, -b[k].low)",
         "two_sum(0.0 * a[k].low, -0.0 * b[k].low)",
-        ("detection/test_unequal_sizes.py::test_starts_that_cross_by_less_than_rounding",),
+        ("search/test_unequal_sizes.py::test_starts_that_cross_by_less_than_rounding",),
     ),
     Mutant(
         "start-distance-rounding",
@@ -476,7 +476,7 @@ MUTANTS = [
         TRAVERSE + "rigid_sweep.h",
         "sweep_detail::start_distance(settings, scale * path.rounding)",
         "sweep_detail::start_distance(settings, 0.0)",
-        ("detection/test_unequal_sizes.py::test_starts_that_cross_by_less_than_rounding",),
+        ("search/test_unequal_sizes.py::test_starts_that_cross_by_less_than_rounding",),
     ),
     Mutant(
         "start-of-leaves-apart",
@@ -490,14 +490,14 @@ MUTANTS = [
         TRAVERSE + "leaf_item.h",
         "edges_at(common_i) | edges_at(common_j) << 3",
         "0u * (common_i | common_j)",
-        ("detection/test_self_collision.py",),
+        ("search/test_self_collision.py",),
     ),
     Mutant(
         "crossing-that-wins-among-equal-times",
         NARROW + "narrow_cpu.cpp",
         "std::make_tuple(c.kind, c.feature_i, c.feature_j)",
         "std::make_tuple(-c.kind, c.feature_i, c.feature_j)",
-        ("detection/test_narrow.py", *ON_CROSSING),
+        ("search/test_narrow.py", *ON_CROSSING),
         switched=False,
     ),
 ]

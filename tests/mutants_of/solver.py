@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from mutants_of.mutant import Mutant
 
-APPROACH = "pgccd/detection/approach.py"
-SITES = "pgccd/detection/sites.py"
-NORMALS = "pgccd/detection/surface_normals.py"
-ON_APPROACH = ("detection/test_approaching.py",)
-ON_GRADIENTS = ("detection/test_gradients.py",)
-ON_NORMALS = ("detection/test_surface_cones.py", "detection/test_surface_normals.py")
+APPROACH = "pgccd/contacts/approach.py"
+SITES = "pgccd/contacts/sites.py"
+NORMALS = "pgccd/contacts/normals.py"
+ON_APPROACH = ("contacts/test_approaching.py",)
+ON_GRADIENTS = ("contacts/test_gradients.py",)
+ON_NORMALS = ("contacts/test_surface_cones.py", "contacts/test_surface_normals.py")
 
 
 def _mutant(name: str, file: str, old: str, new: str, within: str = "", equivalent: str = "") -> Mutant:
@@ -63,7 +63,7 @@ MUTANTS = [
     ),
     Mutant(
         "rate-gradient-turns-back",
-        "pgccd/detection/gradients.py",
+        "pgccd/contacts/gradients.py",
         "travel + torch.linalg.cross(rotation.expand_as(arm), arm)",
         "travel - torch.linalg.cross(rotation.expand_as(arm), arm)",
         ON_GRADIENTS,

@@ -91,14 +91,14 @@ MUTANTS = [
         TRAVERSE + "rigid_sweep.h",
         "bodies.linear_path ? 1.5 * horizon * whole_change : 0.5 * change",
         "bodies.linear_path ? 0.5 * horizon * whole_change : 0.5 * change",
-        ("detection/test_traverse_slabs.py",),
+        ("search/test_traverse_slabs.py",),
     ),
     Mutant(
         "straight-slab-growth-0.999",
         TRAVERSE + "rigid_sweep.h",
         "bodies.linear_path ? 1.5 * horizon * whole_change : 0.5 * change",
         "bodies.linear_path ? 1.4985 * horizon * whole_change : 0.5 * change",
-        ("detection/test_traverse_slabs.py",),
+        ("search/test_traverse_slabs.py",),
         equivalent="the growth bounds the change of the whole normal, of which only the part across it, at most half as"
         " long where a half turn makes the bound 2, lifts points of a thin slab",
     ),
@@ -107,7 +107,7 @@ MUTANTS = [
         TRAVERSE + "rigid_sweep.h",
         "smaller(angle, 2.0)",
         "smaller(angle, 0.6)",
-        ("detection/test_traverse_slabs.py",),
+        ("search/test_traverse_slabs.py",),
     ),
     Mutant(
         "arc-slab-growth-of-a-half-turn",
@@ -121,7 +121,7 @@ MUTANTS = [
         TRAVERSE + "rigid_sweep.h",
         "smaller(horizon * angle / segment_count, 2.0)",
         "horizon * smaller(angle / segment_count, 2.0)",
-        ("detection/test_traverse_slabs.py",),
+        ("search/test_traverse_slabs.py",),
     ),
     Mutant(
         "rigid-local-rounding-zero",
@@ -135,7 +135,7 @@ MUTANTS = [
         TRAVERSE + "rigid_sweep.h",
         "sweep_detail::blend(at_t0, spun(spin, at_t0, 1.0), t)",
         "spun(spin, at_t0, t)",
-        ("detection/test_traverse_slabs.py", "detection/test_traverse.py::test_linear_paths"),
+        ("search/test_traverse_slabs.py", "search/test_traverse.py::test_linear_paths"),
     ),
     Mutant(
         "deforming-local-rounding-zero",

@@ -9,8 +9,8 @@ import torch
 from support.random_scenes import random_scene
 
 import pgccd
-from pgccd.detection.capacity import BufferSizes
 from pgccd.runtime.graph import capture
+from pgccd.search.sizes import BufferSizes
 
 from .test_random_scenes import boxes, options_of, scenes
 from .test_resolve import on_a_line

@@ -14,8 +14,8 @@ from support.shapes import tetrahedron
 from torch import Tensor
 
 import pgccd
-from pgccd.detection.capacity import COUNT_ROWS
 from pgccd.resolution.search import ShortenedSearch
+from pgccd.search.sizes import COUNT_ROWS
 
 resolve_module = sys.modules["pgccd.resolution.resolve"]
 

@@ -12,12 +12,12 @@ from support.capacities import ON_GPU
 from support.graphs import graphs_on
 from support.steps import alone, step_of
 
-from pgccd.detection import pipeline
-from pgccd.detection.capacity import BufferSizes
 from pgccd.distributed import Alone
 from pgccd.distributed.detection.options import PassEstimates
 from pgccd.resolution.round_plan import RoundPlan
 from pgccd.runtime import replayed_steps, transaction
+from pgccd.search import detect as pipeline
+from pgccd.search.sizes import BufferSizes
 from pgccd.sim import CommittedStep, Model, ModelConfig, RobotState, Simulation, Step, captured
 from pgccd.sim import simulation as simulation_module
 from pgccd.sim.captured import RecentRounds, StepGraph

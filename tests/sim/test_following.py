@@ -12,10 +12,10 @@ from support.resolution import plain_step
 from support.steps import alone, step_of
 
 import pgccd
-from pgccd.detection.passes import SearchPass, find_pass, pairs_of_rounds
 from pgccd.resolution.round_plan import RoundPlan
 from pgccd.resolution.rounds import Fractions, resolve_collisions
 from pgccd.runtime.stages import StageClock
+from pgccd.search.passes import SearchPass, find_pass, pairs_of_rounds
 from pgccd.sim import Model, ModelConfig, RobotState, robot_mesh
 from pgccd.sim.captured import CommittedStep
 from pgccd.sim.partners import FIRST_CONTACTS, Partners

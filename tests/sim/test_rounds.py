@@ -18,17 +18,17 @@ from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 
 import pgccd
-from pgccd.detection.capacity import COUNT_ROWS, BufferSizes, Capacity
-from pgccd.detection.passes import SearchPass
 from pgccd.resolution.round_plan import RoundPlan
 from pgccd.resolution.rounds import OneRank, ResolvedStep, resolve_collisions
 from pgccd.runtime.stages import StageClock
+from pgccd.search.passes import SearchPass
+from pgccd.search.sizes import COUNT_ROWS, BufferSizes, Capacity
 from pgccd.sim import Fractions, Model, ModelConfig, RobotState, robot_mesh
 from pgccd.sim import partners as partners_module
 from pgccd.sim.partners import FIRST_CONTACTS, Partners
 from pgccd.sim.tally import WORK
 
-pipeline_module = sys.modules["pgccd.detection.pipeline"]
+pipeline_module = sys.modules["pgccd.search.detect"]
 FAST: dict[str, Any] = {"robots": 150, "speed": 0.3, "spin": 0.5}
 WORLDS = st.integers(0, 999), st.sampled_from(["random", "skewed"]), st.integers(1, 2)
 

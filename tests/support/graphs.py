@@ -10,9 +10,9 @@ from unittest import mock
 import torch
 from torch import Tensor
 
-from pgccd.detection.capacity import COUNT_ROWS
 from pgccd.resolution import rounds as rounds_module
 from pgccd.runtime import transaction
+from pgccd.search.sizes import COUNT_ROWS
 
 
 class Recorded:

@@ -7,8 +7,8 @@ import torch
 from torch import Tensor
 
 import pgccd
-from pgccd.detection import narrow
 from pgccd.runtime.hashing import row_hash
+from pgccd.search import narrow
 
 COLUMNS = ("pairs", "toi", "kind", "features", "coordinates", "point", "normal", "status")
 

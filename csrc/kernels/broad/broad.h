@@ -15,7 +15,7 @@
 
 namespace pgccd {
 
-// Names in the same order: pgccd/detection/broad.py.
+// Names in the same order: pgccd/search/broad.py.
 enum class BroadPhase : int64_t {
   kSweep = 0,
   kGrid = 1,

@@ -12,7 +12,7 @@
 
 namespace pgccd {
 
-// Names in the same order: pgccd/detection/narrow.py.
+// Names in the same order: pgccd/search/narrow.py.
 enum class Report : int32_t {
   kAny = 0,       // which pairs touch; features and toi are those of an arbitrary contact
   kFirst = 1,     // earliest contact of each pair

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from pgccd.detection.broad import select_rows
 from pgccd.distributed.detection.ids import rows_of
+from pgccd.search.broad import select_rows
 
 
 @dataclass(frozen=True, eq=False)

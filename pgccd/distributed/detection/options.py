@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from pgccd import arguments
-from pgccd.detection import broad, narrow
-from pgccd.detection.checks import Initial, check_separation, operator_tolerance
-from pgccd.detection.memory import CapacityEstimate
-from pgccd.detection.query import Query
 from pgccd.distributed.detection.excluded import Excluded
+from pgccd.search import broad, narrow
+from pgccd.search.checks import Initial, check_separation, operator_tolerance
+from pgccd.search.memory import CapacityEstimate
+from pgccd.search.query import Query
 
 
 @dataclass(frozen=True)

@@ -9,12 +9,12 @@ import torch
 from torch import Tensor
 
 from pgccd import arguments, ops
-from pgccd.detection.contacts import CollidingPairs, Contacts, earliest_row
-from pgccd.detection.trajectories import TrajectoryContacts
+from pgccd.contacts.contacts import CollidingPairs, Contacts, earliest_row
 from pgccd.distributed.comm.exchange import Columns, first_row, make_route, take_rows
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.detection.ids import rows_of
 from pgccd.distributed.detection.share import Share
+from pgccd.search.trajectories import TrajectoryContacts
 
 # What `sum_per_body` adds.
 _SUMMED = (torch.float64, torch.float32, torch.float16, torch.bfloat16)

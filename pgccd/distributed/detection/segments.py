@@ -7,14 +7,14 @@ from typing import Any
 
 import torch
 
-from pgccd.detection import narrow
-from pgccd.detection.contacts import CollidingPairs, Contacts
-from pgccd.detection.trajectories import TrajectoryContacts, time_along
+from pgccd.contacts.contacts import CollidingPairs, Contacts
 from pgccd.distributed.comm.exchange import Columns
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.detection.report import earliest_for_all, tell_owners
 from pgccd.distributed.detection.share import Share
 from pgccd.distributed.guard import of_all_ranks
+from pgccd.search import narrow
+from pgccd.search.trajectories import TrajectoryContacts, time_along
 
 _MOST_WORLDS, _MOST_IDS = 2**31, 2**62
 

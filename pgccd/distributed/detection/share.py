@@ -17,10 +17,7 @@ import torch
 from torch import Tensor
 
 from pgccd import ops
-from pgccd.detection.bodies import MovingBodies
-from pgccd.detection.broad import select_rows
-from pgccd.detection.contacts import CollidingPairs, Contacts
-from pgccd.detection.passes import PASS_SLACK, SearchPass, Select, contacts_of_step, find_pass, first_contacts_of
+from pgccd.contacts.contacts import CollidingPairs, Contacts
 from pgccd.distributed.comm.exchange import Columns
 from pgccd.distributed.detection.options import PassEstimates, SearchOptions
 from pgccd.distributed.halo.ghosts import Halo
@@ -33,6 +30,9 @@ from pgccd.resolution.search import has_changed
 from pgccd.runtime.host_copy import HostCopy
 from pgccd.runtime.side_stream import SideStream
 from pgccd.runtime.stages import StageClock
+from pgccd.search.bodies import MovingBodies
+from pgccd.search.broad import select_rows
+from pgccd.search.passes import PASS_SLACK, SearchPass, Select, contacts_of_step, find_pass, first_contacts_of
 
 T = TypeVar("T")
 

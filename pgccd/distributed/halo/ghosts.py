@@ -16,7 +16,6 @@ import torch
 from torch import Tensor
 
 from pgccd import ops
-from pgccd.detection.bodies import MovingBodies
 from pgccd.distributed.comm.exchange import Route, unpack
 from pgccd.distributed.comm.interface import Pending
 from pgccd.distributed.halo.held import Held
@@ -25,6 +24,7 @@ from pgccd.distributed.halo.sizes import HaloSizes
 from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.runtime.attempts import TooSmall, until_it_fits
 from pgccd.runtime.host_copy import HostCopy
+from pgccd.search.bodies import MovingBodies
 
 
 class Halo:

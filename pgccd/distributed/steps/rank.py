@@ -8,7 +8,6 @@ from typing import TypeVar
 
 import torch
 
-from pgccd.detection.bodies import MovingBodies
 from pgccd.distributed.comm.exchange import Columns
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.detection.options import PassEstimates, SearchOptions
@@ -20,6 +19,7 @@ from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.distributed.partition.interface import Partition
 from pgccd.distributed.partition.rebalancing import Balancer
 from pgccd.runtime.stages import StageClock
+from pgccd.search.bodies import MovingBodies
 
 T = TypeVar("T")
 

@@ -11,9 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from pgccd import arguments
-from pgccd.detection.bodies import MovingBodies
-from pgccd.detection.capacity import COUNT_ROWS, busy_nanoseconds, overflow_flags
-from pgccd.detection.contacts import Contacts
+from pgccd.contacts.contacts import Contacts
 from pgccd.distributed.comm.exchange import Columns, first_row
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.comm.peer_memory import RowsOfRanks
@@ -33,6 +31,8 @@ from pgccd.motion.paths import RigidMotion
 from pgccd.motion.validation import LARGEST_COORDINATE
 from pgccd.runtime.replayed_steps import GRAPH_SLACK
 from pgccd.runtime.transaction import TransactionGraph
+from pgccd.search.bodies import MovingBodies
+from pgccd.search.sizes import COUNT_ROWS, busy_nanoseconds, overflow_flags
 
 
 @dataclass(frozen=True, eq=False)

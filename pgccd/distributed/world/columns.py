@@ -10,7 +10,6 @@ from torch import Tensor
 
 from pgccd import arguments
 from pgccd.checkpoint.files import rows_hash
-from pgccd.detection.bodies import MovingBodies
 from pgccd.distributed.comm.exchange import Columns, make_route
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.guard import of_all_ranks
@@ -21,6 +20,7 @@ from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
 from pgccd.motion.validation import LARGEST_COORDINATE
+from pgccd.search.bodies import MovingBodies
 
 # Optional columns of scenes.
 _OPTIONAL = (*OPTIONAL_COLUMNS, "self_collision")

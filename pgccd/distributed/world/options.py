@@ -5,12 +5,12 @@ from typing import Literal, TypedDict
 
 from torch import Tensor
 
-from pgccd.detection.broad import BroadPhase
-from pgccd.detection.checks import Initial
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.partition.balance import BalanceOptions
 from pgccd.distributed.partition.interface import Triple
 from pgccd.motion.paths import PathKind
+from pgccd.search.broad import BroadPhase
+from pgccd.search.checks import Initial
 
 #: Names of payload.
 Names = Collection[str]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from pgccd.detection.contacts import CollidingPairs, Contacts
+from pgccd.contacts.contacts import CollidingPairs, Contacts
 from pgccd.distributed.comm.exchange import Columns
 from pgccd.distributed.detection.ids import rows_of
 from pgccd.distributed.detection.report import first_toi_of, sum_per_body

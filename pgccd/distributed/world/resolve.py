@@ -17,9 +17,7 @@ from typing import Generic, cast
 import torch
 from torch import Tensor
 
-from pgccd.detection.bodies import MovingBodies
-from pgccd.detection.contacts import Contacts
-from pgccd.detection.passes import search_seconds
+from pgccd.contacts.contacts import Contacts
 from pgccd.distributed.comm.exchange import Columns
 from pgccd.distributed.detection.ids import rows_of
 from pgccd.distributed.detection.options import PassEstimates, SearchOptions
@@ -35,6 +33,8 @@ from pgccd.resolution.search import at_rest, shortened
 from pgccd.resolution.slowing import SlowedBodies
 from pgccd.resolution.stoppers import Stoppers
 from pgccd.runtime.stages import StageClock
+from pgccd.search.bodies import MovingBodies
+from pgccd.search.passes import search_seconds
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -14,13 +14,7 @@ from torch import Tensor
 
 from pgccd import arguments
 from pgccd.checkpoint.files import KEEP
-from pgccd.detection import narrow
-from pgccd.detection.bodies import MovingBodies
-from pgccd.detection.broad import BroadPhase
-from pgccd.detection.checks import Initial
-from pgccd.detection.contacts import CollidingPairs, Contacts
-from pgccd.detection.passes import search_seconds
-from pgccd.detection.trajectories import TrajectoryContacts
+from pgccd.contacts.contacts import CollidingPairs, Contacts
 from pgccd.distributed.comm.exchange import Columns, take_rows
 from pgccd.distributed.comm.interface import Alone, Comm
 from pgccd.distributed.detection.excluded import Excluded
@@ -65,6 +59,12 @@ from pgccd.motion.trajectory import Trajectory
 from pgccd.resolution.results import M
 from pgccd.resolution.trajectories import TrajectoryResolution, resolve_segments
 from pgccd.runtime.stages import StageClock
+from pgccd.search import narrow
+from pgccd.search.bodies import MovingBodies
+from pgccd.search.broad import BroadPhase
+from pgccd.search.checks import Initial
+from pgccd.search.passes import search_seconds
+from pgccd.search.trajectories import TrajectoryContacts
 
 R = TypeVar("R", bound=Contacts | CollidingPairs)
 

@@ -1,0 +1,1 @@
+"""Contacts: their columns, and what they say afterwards: normals, approach, derivatives, groups."""

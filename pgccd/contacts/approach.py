@@ -1,0 +1,403 @@
+"""How contacts go on after their toi: the rate at which the gap closes, and a proof that features come no closer.
+
+The proof is along one direction n, fixed in the world: if n . (x_b - x_a) of all pairs of corners of two sets of
+triangles stays above a distance for the rest of the step, so do the sets. A poor direction proves nothing, and the
+contact counts as one that approaches. Where features touch exactly, their own normal does not tell on which side of one
+another their surfaces are. There the sets include the faces around one of the features, which the surface would have
+to pass through. See docs/explanation/exactness.md, section 15.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor
+
+from pgccd import arguments
+from pgccd.contacts.gradients import corner_points
+from pgccd.contacts.kinds import FACE, Kind, Status
+from pgccd.contacts.normals import surface_normals
+from pgccd.contacts.sites import Sites, reduced
+from pgccd.geometry.incidence import Lists
+from pgccd.geometry.scene import Scene
+from pgccd.motion.differentiable import with_gradient_of
+from pgccd.motion.paths import RigidMotion, VertexMotion
+from pgccd.motion.vectors import cross, dot, norm, unit_or_zero
+from pgccd.search.checks import RELATIVE_TOLERANCE
+
+if TYPE_CHECKING:
+    from pgccd.contacts.contacts import Contacts
+
+# Windows of the rest of the step for bodies that turn.
+_WINDOWS = 16
+# Rounding of the expressions below, relative to the sum of what they add up.
+_ROUNDING = 2.0**-46
+# Faces around a feature whose normals are tried as directions.
+_MOST_FACES = 8
+# Sine of the angle between directions and a plane within which they may be rounded.
+_SLIDING = 2.0**-36
+# Sine of the angle within which a direction is the normal of a face.
+_PARALLEL = 1e-5
+
+
+@dataclass
+class Cause:
+    """What contacts were found with.
+
+    Attributes:
+        scene, motion: with gradients, if there are any; of a trajectory one body for each segment.
+        tolerance: of the detection; None: the default.
+        is_first: each pair has one contact, the first.
+        again: the contacts that approach, of each of the pairs (P, 2) int64 given, sorted, the first, within a length
+            `slack` or None; only if `is_first`.
+        versions: torch's counters of writes to the columns of the motion.
+    """
+
+    scene: Scene
+    motion: RigidMotion | VertexMotion
+    tolerance: float | None
+    is_first: bool
+    again: Callable[[Tensor, float | None], Contacts]
+    versions: list[int]
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Copies of the motion count writes anew."""
+        return {**vars(self), "versions": None if versions_of(self.motion) == self.versions else self.versions}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        if state["versions"] is None:
+            self.__dict__["versions"] = versions_of(self.motion)
+
+    def require_unchanged(self) -> None:
+        """Raises RuntimeError if the motion has been written to since."""
+        if versions_of(self.motion) != self.versions:
+            raise RuntimeError(
+                "motion: was written after `detect`, but the approach of contacts is computed from it: ask for it "
+                "before, or give `detect` copies"
+            )
+
+    def rate(self, contacts: Contacts, bodies: Tensor) -> Tensor:
+        """`Contacts.approach` (K,), of rows (K, 2) of the motion."""
+        self.require_unchanged()
+        with torch.no_grad():
+            sites = Sites.of(contacts, self.scene._detached(), self.motion._detached(), bodies)
+            normal = contacts.normal.detach().cpu()
+            rate = -dot(normal, sites.velocity())
+            is_reversed = sites.is_reversed(normal) & (sites.kind <= Kind.EE)
+            rate = torch.where(is_reversed, -rate, rate).to(bodies.device)
+        if contacts._differentiable is None:
+            return rate
+        expression = self._expression(contacts, bodies)
+        expression = torch.where(is_reversed.to(bodies.device), -expression, expression)
+        return with_gradient_of(rate, torch.where(contacts.differentiable, expression, 0.0), "approach")
+
+    def _expression(self, contacts: Contacts, bodies: Tensor) -> Tensor:
+        """(K,): the rate of contacts of vertices with faces and of edges, with gradients; bits depend on the device."""
+        _, velocity = corner_points(self.scene, self.motion, bodies, contacts.kind, contacts.features, contacts.toi)
+        speed = _weighted(contacts, velocity)
+        return -(contacts.normal * (speed[:, 1] - speed[:, 0])).sum(1)
+
+    def recedes(self, contacts: Contacts, bodies: Tensor, slack: float | None) -> Tensor:
+        """(K,) bool: contacts whose features, and the surfaces around them, certainly come closer by at most `slack` in
+        the rest of the step. Synchronises.
+        """
+        self.require_unchanged()
+        slack = self.tolerance if slack is None else arguments.length(slack, "slack")
+        with torch.no_grad():
+            scene, motion = self.scene._detached(), self.motion._detached()
+            sites = Sites.of(contacts, scene, motion, bodies)
+            columns = (contacts.normal.detach(), contacts.status, self._slack(scene, bodies, slack))
+            return _recedes(sites, *(column.cpu() for column in columns)).to(bodies.device)
+
+    def _slack(self, scene: Scene, bodies: Tensor, slack: float | None) -> Tensor:
+        """(K,)"""
+        if slack is None:
+            return RELATIVE_TOLERANCE * scene._current_radius()[bodies].amin(1)
+        return torch.full((len(bodies),), slack, dtype=torch.float64, device=bodies.device)
+
+
+def versions_of(motion: RigidMotion | VertexMotion) -> list[int]:
+    """Torch's counters of writes to the columns of a motion."""
+    return [0 if column.is_inference() else column._version for column in (getattr(motion, n) for n in motion._names)]
+
+
+def _weighted(contacts: Contacts, velocity: Tensor) -> Tensor:
+    """(K, 2, 3): velocities of the nearest points of both features; of vertices with faces and of edges.
+
+    Args:
+        velocity: (K, 2, 3, 3), of corners, see `Corners`.
+    """
+    u, v = contacts.coordinates.unbind(1)
+    zero = torch.zeros_like(u)
+    weights = torch.stack([1.0 - u - v, u, v], 1)[:, None].expand(-1, 2, -1)
+    on_edges = torch.stack([torch.stack([1.0 - u, u, zero], 1), torch.stack([1.0 - v, zero, v], 1)], 1)
+    weights = torch.where((contacts.kind == Kind.EE)[:, None, None], on_edges, weights)
+    return (weights[:, :, :, None] * velocity).sum(2)
+
+
+def _recedes(sites: Sites, normal: Tensor, status: Tensor, slack: Tensor) -> Tensor:
+    offset, noise = sites.offset()
+    gap = norm(offset)
+    is_apart = gap > noise
+    is_known = (status == Status.TOUCH) & (sites.kind <= Kind.EE)
+    certain = torch.zeros_like(is_apart)
+    apart = torch.nonzero(is_apart & is_known)[:, 0]
+    if len(apart):
+        some = sites[apart]
+        sets = _Sets(torch.arange(len(apart), device=gap.device), some.corners(0), some.corners(1))
+        certain[apart] = _stay(some, sets, unit_or_zero(offset[apart]), gap[apart], slack[apart])
+    left = torch.nonzero(is_known & ~certain)[:, 0]
+    if len(left):
+        certain[left] = _surroundings_recede(sites[left], normal[left], offset[left], noise[left], slack[left])
+    return certain
+
+
+def _surroundings_recede(sites: Sites, normal: Tensor, offset: Tensor, noise: Tensor, slack: Tensor) -> Tensor:
+    """As `_recedes`, by the surfaces around the features."""
+    of_surface = surface_normals(sites, normal)
+    gap = norm(offset)
+    # How far the surfaces are apart, which edges in flat surfaces are not.
+    gap = torch.minimum(gap, torch.minimum(*(_height(sites, side, offset, of_surface) for side in (0, 1))))
+    sets = _sets_around(sites)
+    certain = torch.zeros_like(sets.owner, dtype=torch.bool)
+    met = (norm(offset) <= noise) & (sites.toi > 0.0)
+    velocity = sites.velocity()
+    speed = norm(velocity)
+
+    def attempt(direction: Tensor, is_given: Tensor | None = None) -> None:
+        """Tries directions (n, 3), one for each pair of sets."""
+        # Not from the other side, if the features are on one.
+        is_open = ~certain & (norm(direction) > 0.0) & (dot(direction, offset[sets.owner]) >= -noise[sets.owner])
+        chosen = torch.nonzero(is_open if is_given is None else is_open & is_given)[:, 0]
+        if len(chosen):
+            owner, some, along = sets.owner[chosen], sets[chosen], direction[chosen]
+            stays = _stay(sites, some, along, gap[owner], slack[owner])
+            # Features that coincide were apart before, where they came from, or, if they slide, where the sets are.
+            # Sets that came from elsewhere, or slide and are flat, must stay near the plane.
+            closing = dot(along, -velocity[owner])
+            slides = closing.abs() <= _SLIDING * speed[owner]
+            is_flat = _apart_at_toi(sites, some, -along) >= -slack[owner]
+            is_sided = torch.where(slides, ~is_flat, closing > 0.0)
+            both = torch.nonzero(stays & met[owner] & ~is_sided)[:, 0]
+            if len(both):
+                stays[both] = _stay(sites, some[both], -along[both], gap[owner[both]], slack[owner[both]])
+            certain[chosen] = stays
+
+    attempt(of_surface[sets.owner])
+    attempt(normal[sets.owner])
+    attempt(-normal[sets.owner])
+    for direction, is_given in _directions(sites, sets):
+        if bool(certain.all()):
+            break
+        for sign in (1.0, -1.0):
+            attempt(sign * direction, is_given)
+    return reduced(certain.double(), sets.owner, len(sites), "amin", 1.0) > 0.0
+
+
+@dataclass
+class _Sets:
+    """Pairs of triangles of both bodies, or of parts of them.
+
+    Attributes:
+        owner: (n,) contacts.
+        one, other: (n, 3), vertices of i and of j.
+    """
+
+    owner: Tensor
+    one: Tensor
+    other: Tensor
+
+    def __getitem__(self, rows: Tensor) -> _Sets:
+        return _Sets(self.owner[rows], self.one[rows], self.other[rows])
+
+
+def _sets_around(sites: Sites) -> _Sets:
+    """Faces around a vertex or an edge with the other feature; of two edges both ways: what would pass through one
+    another next to the contact.
+    """
+    owners, ones, others = [], [], []
+    for side in (0, 1):
+        what = torch.where(sites.counted[:, side] == FACE, -1, sites.counted[:, side])
+        place, face = sites.faces_around(what, sites.feature[:, side])
+        around, beside = sites.incidence.faces[face], sites.corners(1 - side)[place]
+        owners.append(place)
+        ones.append(around if side == 0 else beside)
+        others.append(beside if side == 0 else around)
+    return _Sets(torch.cat(owners), torch.cat(ones), torch.cat(others))
+
+
+def _directions(sites: Sites, sets: _Sets) -> Iterator[tuple[Tensor, Tensor | None]]:
+    """Directions (n, 3) for pairs of sets, and which of them are given (n,): normals of the sets and of the faces at
+    the nearest points.
+    """
+    for side, vertices in ((0, sets.one), (1, sets.other)):
+        a, b, c = (sites.arms(side, sets.owner, vertex) for vertex in vertices.unbind(1))
+        yield unit_or_zero(cross(b - a, c - a)), None
+    for side in (0, 1):
+        owner, face = sites.faces_around(*sites.supports(side))
+        a, b, c = (sites.arms(side, owner, corner) for corner in sites.incidence.faces[face].unbind(1))
+        of_face = unit_or_zero(cross(b - a, c - a))
+        faces = Lists.of(owner, torch.arange(len(owner), device=owner.device), len(sites))
+        begin, end = faces.begin[:-1][sets.owner], faces.begin[1:][sets.owner]
+        for k in range(min(_MOST_FACES, int((end - begin).amax()))):
+            has = begin + k < end
+            yield of_face[faces.items[torch.where(has, begin + k, 0)]], has
+
+
+def _height(sites: Sites, side: int, offset: Tensor, normal: Tensor) -> Tensor:
+    """(K,): how far the nearest point and the corners of the other feature are above faces of this side around the
+    contact that have the normal (K, 3), the least of those whose foot is in such a face; inf without one.
+    """
+    sign = 1.0 if side == 0 else -1.0
+    every = torch.arange(len(sites), device=offset.device)
+    nearest = sites.nearest(1 - side)
+    corners = [sites.arms(1 - side, every, corner) - nearest for corner in sites.corners(1 - side).unbind(1)]
+    points = sign * offset[:, None] + torch.stack([torch.zeros_like(nearest), *corners], 1)  # (K, 4, 3)
+    owner, face = sites.faces_around(*sites.supports(side))
+    base = sites.nearest(side)[owner]
+    ends = [sites.arms(side, owner, corner) - base for corner in sites.incidence.faces[face].unbind(1)]
+    across = cross(ends[1] - ends[0], ends[2] - ends[0])
+    is_face = (norm(across) > 0.0) & (norm(cross(unit_or_zero(across), normal[owner])) <= _PARALLEL)
+    above = points[owner]
+    is_over = is_face[:, None].expand(-1, 4)
+    for k in range(3):
+        start, end = ends[k], ends[(k + 1) % 3]
+        inward = cross(across, end - start)[:, None]
+        is_over = is_over & (dot(inward, above - start[:, None]) >= 0.0)
+    height = torch.where(is_over, sign * dot(normal[owner][:, None], above), torch.inf)
+    return reduced(height.amin(1).clamp(min=0.0), owner, len(sites), "amin", torch.inf)
+
+
+def _stay(sites: Sites, sets: _Sets, direction: Tensor, gap: Tensor, slack: Tensor) -> Tensor:
+    """(n,) bool: sets that stay at least `gap` (n,) less `slack` (n,) apart along directions (n, 3) from toi on."""
+    needed = gap - slack
+    turns = sites.turns[sets.owner]
+    straight, turning = torch.nonzero(~turns)[:, 0], torch.nonzero(turns)[:, 0]
+    found = torch.zeros_like(turns)
+    for rows, lowest_of in ((straight, _lowest_on_lines), (turning, _lowest_on_arcs)):
+        if len(rows):
+            lowest, error = lowest_of(sites, sets[rows], direction[rows])
+            found[rows] = lowest - error >= needed[rows]
+    return found
+
+
+def _points_along(sites: Sites, sets: _Sets, direction: Tensor) -> tuple[Tensor, Tensor, _Along, _Along]:
+    """Along directions (n, 3): the offset of the references at t = 0 and its change (n, 1), and the vertices of i and j
+    (n, 3).
+    """
+    start, change = (dot(direction, each[sets.owner])[:, None] for each in sites.travel())
+    owner, along = sets.owner.repeat_interleave(3), direction.repeat_interleave(3, dim=0)
+    a, b = (_along(sites, k, owner, (sets.one, sets.other)[k].reshape(-1), along).view(-1, 3) for k in (0, 1))
+    return start, change, a, b
+
+
+def _apart_at_toi(sites: Sites, sets: _Sets, direction: Tensor) -> Tensor:
+    """(n,): how far sets are apart at toi along directions (n, 3)."""
+    start, change, a, b = _points_along(sites, sets, direction)
+    time = sites.toi[sets.owner][:, None]
+    at_a, at_b = (points.at(time[:, None])[0][..., 0] for points in (a, b))
+    return (start + change * time)[:, 0] + (at_b.amin(1) - at_a.amax(1))
+
+
+def _lowest_on_lines(sites: Sites, sets: _Sets, direction: Tensor) -> tuple[Tensor, Tensor]:
+    """How far sets stay apart at least (n,), along directions (n, 3), from toi on, and a bound of the error of that
+    (n,). No body turns: it is least at one of the ends.
+    """
+    start, change, a, b = _points_along(sites, sets, direction)
+    gaps = []
+    for time in (sites.toi[sets.owner][:, None], 1.0):
+        at_a, at_b = a.constant + a.rate * time, b.constant + b.rate * time
+        gaps.append((start + change * time)[:, 0] + (at_b.amin(1) - at_a.amax(1)))
+    size = (start.abs() + change.abs())[:, 0] + a.size.amax(1) + b.size.amax(1)
+    return torch.minimum(*gaps), _ROUNDING * size
+
+
+def _lowest_on_arcs(sites: Sites, sets: _Sets, direction: Tensor) -> tuple[Tensor, Tensor]:
+    """As `_lowest_on_lines`, of bodies that turn: in windows of time, by the chord between their ends and by the
+    tangent at their beginning.
+    """
+    start, change, a, b = _points_along(sites, sets, direction)
+    toi = sites.toi[sets.owner][:, None]
+    time = toi + (1.0 - toi) * torch.linspace(0.0, 1.0, _WINDOWS + 1, dtype=torch.float64, device=toi.device)
+    step = ((1.0 - toi) / _WINDOWS)[:, None]
+    (at_a, rate_a, turn_a), (at_b, rate_b, turn_b) = a.at(time[:, None]), b.at(time[:, None])  # (n, 3, windows + 1)
+    (low_a, high_a), (low_b, high_b) = a.curvatures(turn_a, step), b.curvatures(turn_b, step)
+    lowest = torch.full_like(start[:, 0], torch.inf)
+    for k in range(3):
+        for m in range(3):
+            gap = start + change * time + (at_b[:, m] - at_a[:, k])
+            slope = (change + rate_b[:, m] - rate_a[:, k])[:, :-1]
+            low, high = low_b[:, m] - high_a[:, k], high_b[:, m] - low_a[:, k]
+            first, last, length = gap[:, :-1], gap[:, 1:], step[:, 0]
+            chord = torch.minimum(first, last) - high.clamp(min=0.0) * length * length / 8.0
+            bottom = torch.where(low > 0.0, -slope / torch.where(low > 0.0, low, 1.0), length)
+            bottom = torch.minimum(bottom.clamp(min=0.0), length)
+            # Where the tangent's parabola is concave, its ends are lowest.
+            tangent = torch.minimum(first, first + bottom * (slope + 0.5 * low * bottom))
+            lowest = torch.minimum(lowest, torch.maximum(chord, tangent).amin(1))
+    size = (start.abs() + change.abs())[:, 0] + a.size.amax(1) + b.size.amax(1)
+    return lowest, _ROUNDING * size
+
+
+@dataclass
+class _Along:
+    """Points along directions, as constant + rate t + cosine cos(angle t) + sine sin(angle t).
+
+    Attributes:
+        constant, rate, cosine, sine, angle: (m,), or (n, 3) after `view`.
+    """
+
+    constant: Tensor
+    rate: Tensor
+    cosine: Tensor
+    sine: Tensor
+    angle: Tensor
+
+    def view(self, *shape: int) -> _Along:
+        """The same points in another shape."""
+        columns = (self.constant, self.rate, self.cosine, self.sine, self.angle)
+        return _Along(*(column.view(*shape) for column in columns))
+
+    @property
+    def size(self) -> Tensor:
+        """Bound of the sizes of all terms, and of their errors relative to one rounding."""
+        turning = (1.0 + self.angle) * (self.cosine.abs() + self.sine.abs())
+        return self.constant.abs() + self.rate.abs() + turning
+
+    def at(self, time: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Values, derivatives and turning parts at times, which broadcast against (..., 1)."""
+        angle, cosine, sine = self.angle[..., None], self.cosine[..., None], self.sine[..., None]
+        c, s = torch.cos(angle * time), torch.sin(angle * time)
+        turning = cosine * c + sine * s
+        change = angle * (sine * c - cosine * s)
+        return self.constant[..., None] + self.rate[..., None] * time + turning, self.rate[..., None] + change, turning
+
+    def curvatures(self, turning: Tensor, step: Tensor) -> tuple[Tensor, Tensor]:
+        """Bounds (..., n) of the second derivative in windows of length (..., 1), from turning parts (..., n + 1)."""
+        square = (self.angle * self.angle)[..., None]
+        radius = torch.hypot(self.cosine, self.sine)[..., None]
+        stray = square * radius * step * step / 8.0
+        low = torch.minimum(turning[..., :-1], turning[..., 1:]) - stray
+        high = torch.maximum(turning[..., :-1], turning[..., 1:]) + stray
+        return -square * torch.minimum(high, radius), -square * torch.maximum(low, -radius)
+
+
+def _along(sites: Sites, side: int, owner: Tensor, vertex: Tensor, direction: Tensor) -> _Along:
+    """Vertices (m,) of one side along directions (m, 3)."""
+    motion = sites.motion
+    zero = torch.zeros_like(direction[:, 0])
+    start, end = sites.ends(side, owner, vertex)
+    if isinstance(motion, VertexMotion) or motion.path == "linear":
+        return _Along(dot(direction, start), dot(direction, end - start), zero, zero, zero)
+    rotation = motion.rotation[sites.bodies[:, side]][owner]
+    angle = norm(rotation)
+    axis = unit_or_zero(rotation)
+    fixed = dot(axis, start)[:, None] * axis
+    across = start - fixed
+    fixed = torch.where(angle[:, None] > 0.0, fixed, start)
+    across = torch.where(angle[:, None] > 0.0, across, 0.0)
+    return _Along(dot(direction, fixed), zero, dot(direction, across), dot(direction, cross(axis, across)), angle)

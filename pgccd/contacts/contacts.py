@@ -1,0 +1,545 @@
+"""Contacts: the result of `detect`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NoReturn, Self
+
+import torch
+from torch import Tensor
+
+from pgccd import arguments
+from pgccd.contacts.approaching import WithApproach
+from pgccd.contacts.by_body import By, any_contact, first_time, owners
+from pgccd.ops import ContactRows
+from pgccd.search.sizes import Capacity
+
+if TYPE_CHECKING:
+    from pgccd.contacts.approach import Cause
+    from pgccd.geometry.scene import Scene
+
+
+# Dtypes and further sizes of columns.
+_FORMS: dict[str, tuple[torch.dtype, tuple[int, ...]]] = {
+    "pairs": (torch.int64, (2,)),
+    "kind": (torch.int8, ()),
+    "features": (torch.int32, (2,)),
+    "status": (torch.int8, ()),
+    "toi": (torch.float64, ()),
+    "coordinates": (torch.float64, (2,)),
+    "point": (torch.float64, (3,)),
+    "normal": (torch.float64, (3,)),
+    "segment": (torch.int64, ()),
+    "time": (torch.float64, ()),
+    # Of passages.
+    "approach": (torch.float64, ()),
+    "measure": (torch.float64, ()),
+}
+# What else contacts have, and pairs do not.
+_OF_CONTACTS = ("first_toi", "starts_intersecting", "earliest", "approach", "approaching", "segment", "time")
+#: Names of the columns of contacts, in the operators' order.
+COLUMNS = ("pairs", "kind", "features", "status", "toi", "coordinates", "point", "normal")
+
+
+def earliest_row(toi: Tensor, *ties: Tensor) -> Tensor:
+    """(1,) int64: the row with the smallest toi (K,); ties are broken by the first of `ties` (K,), then by the next,
+    then by row. (0,) if K is 0. Does not synchronise.
+    """
+    rows = torch.arange(len(toi), device=toi.device)
+    is_least = torch.ones_like(rows, dtype=torch.bool)
+    for column in (toi, *ties, rows) if len(rows) else ():
+        largest = torch.inf if column.is_floating_point() else torch.iinfo(column.dtype).max
+        column = torch.where(is_least, column, largest)
+        is_least &= column == column.min()
+    return torch.where(is_least, rows, 0).sum().reshape(1) if len(rows) else rows
+
+
+def earliest_of_each(owner: Tensor, count: int, *order: Tensor) -> Tensor:
+    """Rows, ascending by owner: of each owner that has any of the rows (K,) the first by the columns of `order` (K,),
+    then by row. Synchronises.
+
+    Args:
+        owner: (K,) in [0, count).
+    """
+    rows = torch.arange(len(owner), device=owner.device)
+    is_least = torch.ones_like(rows, dtype=torch.bool)
+    least = rows
+    for column in (*order, rows):
+        column = column.detach()
+        largest = torch.inf if column.is_floating_point() else torch.iinfo(column.dtype).max
+        column = torch.where(is_least, column, largest)
+        least = torch.full((count,), largest, dtype=column.dtype, device=column.device)
+        least = least.scatter_reduce(0, owner, column, "amin")
+        is_least &= column == least[owner]
+    return least[least < len(rows)]
+
+
+def take_earliest(rows: ContactRows) -> ContactRows:
+    """The row with the smallest toi, the first of equal ones, from rows in canonical order, which may be padded."""
+    toi = rows[4]
+    if len(toi) <= 1:
+        return rows
+    if toi.device.type == "cpu" and not torch.compiler.is_compiling():  # one call instead of ten
+        first = int(toi.numpy().argmin())
+        return tuple(column[first : first + 1] for column in rows)  # type: ignore[return-value]
+    row = earliest_row(toi)
+    return tuple(column[row] for column in rows)  # type: ignore[return-value]
+
+
+@dataclass
+class Stats:
+    """Statistics of one call of `detect`.
+
+    Attributes:
+        bodies: number of bodies.
+        pcs: potentially colliding body pairs.
+        node_tests: node pairs tested in the traversal.
+        candidates: feature pairs left by the traversal.
+        contacts: rows reported.
+        unresolved: rows reported because the iteration budget was spent.
+        broad_phase: "sweep", "grid" or "lbvh"; "given" if the caller passed the pairs.
+        chunks: chunks in which the PCS was streamed.
+        waits: number of times the host waited for a GPU.
+        scratch_bytes: peak scratch memory of one GPU operator.
+        needed: capacity the step needed; on a GPU None if it was streamed.
+        seconds: by stage: bounds, broad, traverse, narrow. On a GPU device times, except for bounds and for streamed
+            steps, where they are host times.
+    """
+
+    bodies: int = 0
+    pcs: int = 0
+    node_tests: int = 0
+    candidates: int = 0
+    contacts: int = 0
+    unresolved: int = 0
+    broad_phase: str = ""
+    chunks: int = 0
+    waits: int = 0
+    scratch_bytes: int = 0
+    needed: Capacity | None = None
+    seconds: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(eq=False, kw_only=True, repr=False)
+class PairColumns:
+    """What all results have: body pairs. Equal (`==`) if all columns are, bit by bit."""
+
+    pairs: Tensor
+    scene: Scene | None = field(default=None, repr=False, compare=False)
+    # Whether the contacts are those of the bodies of one of several ranks.
+    _is_of_rank: bool = field(default=False, repr=False, compare=False)
+
+    _names: ClassVar[tuple[str, ...]] = ("pairs",)
+
+    @property
+    def columns(self) -> dict[str, Tensor]:
+        """The columns, by name."""
+        return {name: getattr(self, name) for name in self._names}
+
+    @property
+    def _incomplete(self) -> Tensor | None:
+        """(1,) bool: whether contacts may be missing; None: they are not."""
+        return None
+
+    def __eq__(self, other: object) -> bool:
+        if type(other) is not type(self):
+            return NotImplemented
+        theirs = other.columns
+        return all(
+            column.device == theirs[name].device and torch.equal(column, theirs[name])
+            for name, column in self.columns.items()
+        )
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def may_collide(self, by: By = "scene") -> Tensor:
+        """Whether there is a contact, bool: () for the "scene", (W,) per "world" (W is one more than the largest world
+        index), or (N,) per "body"; for every report. True where the result is incomplete, see `PaddedContacts`; with
+        report="earliest", which leaves out the contacts of other pairs, everywhere if there is a contact. Does not
+        synchronise.
+
+        Raises:
+            ValueError: `by` is unknown or needs a scene; or these are the contacts of one of several ranks.
+
+        Example:
+            >>> x = torch.where(hits.may_collide(), x0, x1)  # all bodies move, or none
+        """
+        self._require_all_ranks()
+        found, incomplete = self._any_contact(by), self._incomplete
+        return found if incomplete is None else found | incomplete.reshape(())
+
+    def _any_contact(self, by: By) -> Tensor:
+        """As `may_collide`, of a complete result."""
+        return any_contact(self.pairs, self.scene, by)
+
+    def _require_all_ranks(self) -> None:
+        """Raises ValueError if other ranks may have other contacts."""
+        if self._is_of_rank:
+            raise ValueError(
+                "hits: has the contacts of this rank's bodies alone: see World.first_toi, and Comm.min or Comm.any for "
+                "all ranks"
+            )
+
+
+class WithoutTimes:
+    """Refuses, by name, what results of report="any" do not have. Type checkers do not know these names either."""
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> NoReturn:
+            if name in (
+                *COLUMNS,
+                "first_toi",
+                "starts_intersecting",
+                "earliest",
+                "approach",
+                "approaching",
+                "segment",
+                "time",
+            ):
+                advice = 'ask for "first", "all" or "earliest", or see `may_collide`'
+                raise AttributeError(f'report: "any" gives pairs without contacts, and no `{name}`: {advice}')
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+
+
+@dataclass(eq=False, kw_only=True, repr=False)
+class ContactColumns(PairColumns):
+    """What contacts have: a row each."""
+
+    toi: Tensor
+    kind: Tensor
+    features: Tensor
+    coordinates: Tensor
+    point: Tensor
+    normal: Tensor
+    status: Tensor
+    # Whether these are the earliest contacts, which leaves out those of other pairs; and whether there is one in each
+    # world that has any.
+    _is_earliest: bool = field(default=False, repr=False, compare=False)
+    _has_each_world: bool = field(default=False, repr=False, compare=False)
+
+    _names: ClassVar[tuple[str, ...]] = COLUMNS
+
+    def first_toi(self, by: By = "scene") -> Tensor:
+        """The first toi, float64, inf without a contact: () for the "scene", (W,) per "world" (W is one more than the
+        largest world index), or (N,) per "body". 0 where the result is incomplete, see `PaddedContacts`. With
+        report="earliest", which leaves out the contacts of other pairs, that of the scene everywhere: no other world or
+        body has an earlier one. Does not synchronise.
+
+        All bodies of the scene, or of a world, may move until its first toi. A body may not move until its own toi
+        alone: others, tested against its whole path, may then collide with it where it stops.
+
+        Raises:
+            ValueError: `by` is unknown or needs a scene; or these are the contacts of one of several ranks.
+
+        Example:
+            >>> x0 + hits.first_toi("scene").clamp(max=1.0) * (x1 - x0)  # the collision-free part of the step
+        """
+        self._require_all_ranks()
+        return self._first_time(self.toi, by, self._incomplete)
+
+    def _first_time(self, time: Tensor, by: By, incomplete: Tensor | None = None) -> Tensor:
+        """The least `time` (K,) of contacts; 0 if `incomplete` (1,) bool."""
+        found = first_time(self.pairs, time, self.scene, by, incomplete)
+        if (bound := self._bound_by(by)) is None:
+            return found
+        return torch.minimum(found, self._of_all(bound, first_time(self.pairs, time, self.scene, bound, incomplete)))
+
+    def _any_contact(self, by: By) -> Tensor:
+        found = any_contact(self.pairs, self.scene, by)
+        if (bound := self._bound_by(by)) is None:
+            return found
+        return found | self._of_all(bound, any_contact(self.pairs, self.scene, bound))
+
+    def _bound_by(self, by: By) -> By | None:
+        """What has the contact that bounds those left out, of what results are asked for; None: none are left out."""
+        if not self._is_earliest or by == "scene" or (by == "world" and self._has_each_world):
+            return None
+        return "world" if self._has_each_world else "scene"
+
+    def _of_all(self, by: By, values: Tensor) -> Tensor:
+        """Values of the scene (), or of worlds (W,) for each body (N,)."""
+        if by == "scene" or self.scene is None:
+            return values
+        return values[0] if self.scene.world is None else values[self.scene.world.long()]
+
+    @property
+    def starts_intersecting(self) -> Tensor:
+        """(K,) bool: contacts with toi 0, of pairs whose surfaces intersect, touch or are within min_separation and
+        margins (plus the tolerance) at t = 0; of a trajectory, at the start of the segment. All other pairs are free
+        until the first toi of the other contacts, which needs report="first" or "all": "earliest" has one contact, and
+        leaves out those of other pairs. False in an incomplete result, see `PaddedContacts`.
+
+        Raises:
+            ValueError: the report was "earliest".
+
+        Example:
+            >>> fraction = hits[~hits.starts_intersecting].first_toi().clamp(max=1.0)
+        """
+        if self._is_earliest:
+            raise ValueError('report: "earliest" leaves out the contacts of other pairs; ask for "first" or "all"')
+        at_start = (self.toi == 0.0) & (self.pairs[:, 0] >= 0)
+        return at_start if self._incomplete is None else at_start & ~self._incomplete
+
+
+@dataclass(eq=False, kw_only=True, repr=False)
+class CountedRows(PairColumns):
+    """What results without padding have: any number of rows."""
+
+    stats: Stats
+    payload: dict[str, Tensor] = field(default_factory=dict, repr=False, compare=False)
+
+    def __eq__(self, other: object) -> bool:
+        equal = super().__eq__(other)
+        if equal is not True or not isinstance(other, CountedRows):
+            return equal
+        theirs = other.payload
+        return self.payload.keys() == theirs.keys() and all(
+            _have_equal_bits(column, theirs[name]) for name, column in self.payload.items()
+        )
+
+    __hash__ = None
+
+    def __iter__(self) -> NoReturn:
+        columns = "zip(hits.pairs.tolist(), hits.toi.tolist())" if "toi" in self._names else "hits.pairs.tolist()"
+        raise TypeError(
+            f"{type(self).__name__}: not iterable: loop over columns, such as {columns}, or over single rows, "
+            "hits[k : k + 1]"
+        )
+
+    def __len__(self) -> int:
+        return self.pairs.shape[0]
+
+    def __getitem__(self, rows: Tensor | slice | Sequence[int]) -> Self:
+        """Some of the rows: a mask (K,), row numbers or a slice. `stats` remain those of the whole call.
+
+        Example:
+            >>> early = hits[hits.toi < 0.5]
+        """
+        if isinstance(rows, int) and not isinstance(rows, bool):
+            raise TypeError(f"rows: expected a mask, row numbers or a slice, got {rows}: write hits[[{rows}]]")
+        picked = arguments.rows(rows, "rows", len(self))
+        return self._map(lambda column: column[picked])
+
+    def to(self, device: torch.device | str) -> Self:
+        """A copy on another device.
+
+        Example:
+            >>> hits = hits.to("cpu")
+        """
+        device = arguments.device(device)
+        return self._map(lambda column: column.to(device))
+
+    def clone(self) -> Self:
+        """A copy of all columns.
+
+        Example:
+            >>> copied = hits.clone()
+        """
+        return self._map(Tensor.clone)
+
+    def state_dict(self) -> dict[str, Any]:
+        """The columns and stats as a dictionary of tensors and numbers, without gradients, the scene and
+        `Stats.needed`, for `torch.save` and `torch.load` with weights_only=True.
+
+        Example:
+            >>> torch.save(hits.state_dict(), "hits.pt")
+        """
+        columns: dict[str, Any] = {name: column.detach() for name, column in self.columns.items()}
+        stats = {name: value for name, value in asdict(replace(self.stats, needed=None)).items() if name != "needed"}
+        return columns | {"stats": stats} | {name: getattr(self, name) for name in _flags_of(type(self))}
+
+    @classmethod
+    def from_state_dict(cls, state: dict[str, Any], scene: Scene | None = None) -> Self:
+        """The result of a `state_dict`, on the device of its tensors.
+
+        Args:
+            state: from `state_dict`.
+            scene: of the bodies, which `first_toi` and others need.
+
+        Raises:
+            TypeError, ValueError: naming the entry that is missing or invalid.
+
+        Example:
+            >>> again = pgccd.Contacts.from_state_dict(hits.state_dict(), scene)
+        """
+        flags = _flags_of(cls)
+        arguments.entries(state, (*cls._names, "stats", *flags))
+        count = None
+        for name in cls._names:
+            column, (dtype, width) = state[name], _FORMS[name]
+            if not isinstance(column, Tensor) or column.dtype != dtype:
+                raise TypeError(f"{name}: expected {dtype}, got {arguments.describe(column)}")
+            arguments.shape(column, name, ("K" if count is None else count, *width), state["pairs"].device)
+            count = len(column)
+        _check_rows(state, scene)
+        _check_stats(state["stats"])
+        given: dict[str, Any] = {name: state[name] for name in cls._names}
+        given |= {name: arguments.flag(state[name], name) for name in flags}
+        return cls(**given, stats=Stats(**state["stats"]), scene=scene)
+
+    def _map(self, change: Callable[[Tensor], Tensor]) -> Self:
+        columns: dict[str, Any] = {name: change(column) for name, column in self.columns.items()}
+        return replace(self, **columns, payload={name: change(column) for name, column in self.payload.items()})
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}(count={len(self)}, pcs={self.stats.pcs}, device={self.pairs.device})"
+
+
+def _have_equal_bits(first: Tensor, second: Tensor) -> bool:
+    """Whether two columns of payload are equal. Not all of their dtypes can be compared by value."""
+    alike = all(getattr(first, name) == getattr(second, name) for name in ("shape", "dtype", "device"))
+    bits = (column.contiguous().flatten().view(torch.uint8) for column in (first, second))
+    return alike and torch.equal(*bits)
+
+
+@dataclass(eq=False, kw_only=True, repr=False)
+class CollidingPairs(WithoutTimes, CountedRows):
+    """The pairs of bodies that collide, from `detect(report="any")`; sorted. Equal (`==`) if they are the same. There
+    is no toi, and so no `first_toi`.
+
+    Attributes:
+        pairs: (K, 2) int64 body indices, i < j; (i, i) where a body touches itself.
+        stats: of the call.
+        payload: columns of both bodies, (K, 2, ...) by name: see `distributed.World.step`; else empty.
+        scene: the scene of the bodies; None where `pairs` are not rows of one scene, as on many ranks.
+
+    Example:
+        >>> colliding = pgccd.detect(scene, motion, "any")
+        >>> colliding.pairs, colliding.may_collide("body")
+        (tensor([[0, 1]]), tensor([True, True]))
+    """
+
+
+@dataclass(eq=False, kw_only=True, repr=False)
+class Contacts(WithApproach, ContactColumns, CountedRows):
+    """K contacts, sorted by pair, then kind and features. Equal (`==`) if all columns are, bit by bit. Points and
+    normals are in the world frame, lengths in the scene's units.
+
+    Attributes:
+        pairs: (K, 2) int64 body indices, i < j; (i, i) where a body touches itself.
+        toi: (K,) float64, time of impact in [0, 1] as a fraction of the step: these features do not touch before it; 0
+            if they touch at t = 0.
+        kind: (K,) int8, see `Kind`: which features touch.
+        features: (K, 2) int32: vertex, face or edge index of i, then of j, in their meshes; an edge is a row of
+            `Mesh.edges`.
+        coordinates: (K, 2) float64, of the nearest points at toi: (u, v) of the face point f0 + u (f1 - f0) + v (f2 -
+            f0), with the face's vertices in the order of `Mesh.faces`; of kind EE (u, v) along i's and j's edge, from
+            its smaller vertex.
+        point: (K, 3) float64: halfway between the nearest points at toi; of an edge through a face, where it passes.
+        normal: (K, 3) float64, unit vector from i (of a body with itself, from the first feature) towards j at toi;
+            zero if degenerate features coincide. Of an edge through a face it is the face's, on the side of j's centre.
+        status: (K,) int8, see `Status`: TOUCH or UNRESOLVED.
+        stats: of the call.
+        payload: columns of both bodies, (K, 2, ...) by name: see `distributed.World.step`; else empty.
+        scene: the scene of the bodies; None where `pairs` are not rows of one scene, as on many ranks.
+
+    If an input of `detect` requires grad, then so do toi, coordinates, point and normal: see docs/how-to/gradients.md.
+
+    Example:
+        >>> for (i, j), toi in zip(hits.pairs.tolist(), hits.toi.tolist()):
+        ...     print(f"{i} and {j} touch at {toi:.2f}")
+        0 and 1 touch at 0.80
+    """
+
+    # See `differentiable`; None if no input required grad.
+    _differentiable: Tensor | None = field(default=None, repr=False, compare=False)
+    # What they were found with; None for those of ranks, of a capacity, or from a state_dict.
+    _cause: Cause | None = field(default=None, repr=False, compare=False)
+
+    @property
+    def differentiable(self) -> Tensor:
+        """(K,) bool: contacts whose toi, coordinates, point and normal have derivatives, if an input of `detect`
+        required grad; if none did, False. False, with all derivatives zero, where features touch at t = 0, where they
+        graze (the gap closes at less than 1e-6 of the relative speed) and of unresolved contacts.
+
+        Example:
+            >>> loss = hits.toi[hits.differentiable].sum()
+        """
+        return torch.zeros_like(self.toi, dtype=torch.bool) if self._differentiable is None else self._differentiable
+
+    def earliest(self, *ties: Tensor, by: Literal["scene", "world"] = "scene") -> Self:
+        """The contact with the smallest toi, of a trajectory the smallest time; or none if there are no contacts.
+
+        Args:
+            ties: (K,) each: of contacts of equal toi the one with the smallest value is taken, then the first row.
+            by: "scene"; or "world": one contact of each world that has any, in the order of worlds. Synchronises with a
+                GPU then.
+
+        Raises:
+            TypeError, ValueError: `by` is unknown or needs a scene.
+
+        Example:
+            >>> first_of_each = pgccd.detect(scene, motion).earliest(by="world")
+        """
+        arguments.choice(by, "by", ("scene", "world"))
+        order = (*self._order, *ties)
+        if by == "scene":
+            row = earliest_row(*order)
+        else:
+            owner, count = owners(self.pairs, self.scene, by)
+            row = earliest_of_each(owner[::2], count, *order)
+        found = self[row]
+        stats = replace(found.stats, contacts=len(found))
+        return replace(found, stats=stats, _is_earliest=True, _has_each_world=by == "world")
+
+    @property
+    def _order(self) -> tuple[Tensor, ...]:
+        """Columns by which contacts are early."""
+        return (self.toi,)
+
+    @property
+    def _moving_bodies(self) -> Tensor:
+        """(K, 2): rows of the motion that they were found with."""
+        return self.pairs
+
+    def _map(self, change: Callable[[Tensor], Tensor]) -> Self:
+        changed = super()._map(change)
+        changed._differentiable = None if self._differentiable is None else change(self._differentiable)
+        return changed
+
+
+def _check_stats(stats: Any) -> None:
+    """Raises TypeError or ValueError, naming the entry, unless these are the stats of a `state_dict`."""
+    arguments.entries(stats, [each.name for each in fields(Stats) if each.name != "needed"], "stats")
+    for name, value in stats.items():
+        named = f"stats[{name!r}]"
+        if name == "broad_phase":
+            if not isinstance(value, str):
+                raise TypeError(f"{named}: expected a str, got {arguments.describe(value)}")
+        elif name == "seconds":
+            if not isinstance(value, dict):
+                raise TypeError(f"{named}: expected a dictionary, got {arguments.describe(value)}")
+            for stage, spent in value.items():
+                arguments.number(spent, f"{named}[{stage!r}]")
+        else:
+            arguments.integer(value, named, 0, "a number >= 0")
+
+
+def _check_rows(state: dict[str, Any], scene: Scene | None) -> None:
+    """Raises ValueError unless the rows of a `state_dict` name bodies, and times in [0, 1]."""
+    most = 2**63 - 1 if scene is None else scene.body_count - 1
+    limits = {"pairs": (0, most), "toi": (0.0, 1.0), "segment": (0, 2**63 - 1), "time": (0.0, 1.0)}
+    for name, (low, high) in limits.items():
+        if name not in state:
+            continue
+        column = state[name]
+        sound = (column >= low) & (column <= high)
+        sound = sound.all(dim=1) if sound.dim() == 2 else sound
+        if not bool(sound.all()):
+            row = int((~sound).long().argmax())
+            raise ValueError(f"{name}: row {row}: expected numbers from {low} to {high}, got {column[row].tolist()}")
+
+
+def _flags_of(result: type[PairColumns]) -> list[str]:
+    """Names of the attributes that say what a result leaves out."""
+    return [each.name for each in fields(result) if each.name in ("_is_of_rank", "_is_earliest", "_has_each_world")]
+
+
+def contacts_of(rows: ContactRows, report: str, stats: Stats, scene: Scene | None = None) -> Contacts | CollidingPairs:
+    """The result of a search, from rows with body pairs in the first column; of report="any" these are all."""
+    if report == "any":
+        return CollidingPairs(pairs=rows[0], stats=stats, scene=scene)
+    columns: dict[str, Any] = dict(zip(COLUMNS, rows, strict=True))
+    return Contacts(**columns, stats=stats, scene=scene, _is_earliest=report == "earliest")

@@ -1,0 +1,92 @@
+"""Gradients of contacts to the motion, the margins and the separation that they were found with."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from pgccd.contacts.contacts import Contacts
+from pgccd.contacts.derivatives import Corners, differentiate
+from pgccd.contacts.kinds import EDGE, FACE, FEATURES, Kind, Status
+from pgccd.geometry.mesh import MeshSet
+from pgccd.geometry.scene import Scene
+from pgccd.motion.differentiable import oriented, rows_of, turned, with_gradient_of
+from pgccd.motion.paths import RigidMotion, VertexMotion
+
+
+def add_gradients(
+    found: Contacts, scene: Scene, motion: RigidMotion | VertexMotion, separation: Tensor | float
+) -> None:
+    """Gives the columns of contacts gradients to the motion, the margins of the scene and the separation.
+
+    Args:
+        found: contacts of the scene's bodies on this motion.
+        scene, motion: with gradients.
+        separation: min_separation, () if it requires grad.
+    """
+    position, velocity = corner_points(scene, motion, found.pairs, found.kind, found.features, found.toi)
+    between = torch.zeros_like(found.toi) + separation
+    if scene.margin is not None:
+        between = between + rows_of(scene.margin, found.pairs).sum(1)
+    # Not where features touch at the start, or where the search did not reach a contact.
+    sound = (found.toi > 0.0) & (found.status == Status.TOUCH) & (found.kind <= Kind.EE)
+    corners = Corners(position, velocity.detach(), found.kind == Kind.EE, between)
+    differentiated = differentiate(corners, sound, found.coordinates, found.normal)
+    for name in ("toi", "coordinates", "point", "normal"):
+        setattr(found, name, with_gradient_of(getattr(found, name), getattr(differentiated, name), name))
+    found._differentiable = differentiated.differentiable
+
+
+def corner_points(
+    scene: Scene, motion: RigidMotion | VertexMotion, bodies: Tensor, kind: Tensor, features: Tensor, toi: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Positions at toi and velocities (K, 2, 3, 3) of the corners of features, see `Corners`; with gradients.
+
+    Args:
+        scene, motion: of the bodies.
+        bodies: (K, 2) rows of the motion.
+        kind, features, toi: columns of contacts.
+    """
+    mesh = scene.mesh_index[bodies].long()
+    rows = _corner_rows(scene.meshes, mesh, kind, features)
+    if isinstance(motion, RigidMotion):
+        offsets = scene.meshes.offsets[:, 0].to(scene.device)
+        vertices = scene.meshes.tensors[0][offsets[mesh][:, :, None] + rows]
+        position, velocity = _rigid_points(motion, bodies, vertices, toi[:, None, None, None])
+    else:
+        rows = rows + scene.layout.vertex_begin[bodies][:, :, None]
+        x_t0, x_t1 = rows_of(motion.x_t0, rows), rows_of(motion.x_t1, rows)
+        velocity = x_t1 - x_t0
+        position = x_t0 + toi[:, None, None, None] * velocity
+    return position, velocity
+
+
+def _corner_rows(meshes: MeshSet, mesh: Tensor, kind: Tensor, features: Tensor) -> Tensor:
+    """(K, 2, 3) int64: rows of the corners among the vertices of their meshes (K, 2), see `Corners`."""
+    counted = torch.tensor(FEATURES, device=kind.device)[kind.long()]  # (K, 2)
+    row = meshes.offsets.to(kind.device)[mesh, counted] + features.long()
+    faces, edges = (tensor.long() for tensor in meshes.tensors[1:3])
+    is_face, is_edge = counted == FACE, counted == EDGE
+    of_face = faces[torch.where(is_face, row, 0)]
+    of_edge = edges[torch.where(is_edge, row, 0)]
+    first, last = of_edge.unbind(2)
+    second = torch.stack([last[:, 0], first[:, 1]], 1)
+    third = torch.stack([first[:, 0], last[:, 1]], 1)
+    of_edge = torch.stack([first, second, third], 2)
+    of_vertex = features.long()[:, :, None].expand(-1, -1, 3)
+    return torch.where(is_face[:, :, None], of_face, torch.where(is_edge[:, :, None], of_edge, of_vertex))
+
+
+def _rigid_points(motion: RigidMotion, pairs: Tensor, vertices: Tensor, time: Tensor) -> tuple[Tensor, Tensor]:
+    """Positions and velocities (K, 2, 3, 3) of points of bodies (K, 2), in the coordinates of their meshes relative to
+    the origin, at times (K, 1, 1, 1).
+    """
+    columns = (motion.position_t0, motion.position_t1, motion.orientation_t0, motion.rotation)
+    start, end, orientation, rotation = (rows_of(column, pairs)[:, :, None] for column in columns)
+    travel = end - start
+    arm = oriented(vertices, orientation)
+    if motion.path == "linear":
+        turning = turned(arm, rotation) - arm
+        return start + arm + time * (travel + turning), travel + turning
+    arm = turned(arm, time * rotation)
+    return start + time * travel + arm, travel + torch.linalg.cross(rotation.expand_as(arm), arm)

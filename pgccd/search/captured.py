@@ -1,0 +1,325 @@
+"""Detection as one CUDA graph, for loops that must not be limited by kernel launches from the host."""
+
+from dataclasses import dataclass, fields
+from typing import Generic, Literal, TypeVar, Unpack, cast, overload
+
+import torch
+
+from pgccd import arguments
+from pgccd.contacts.contacts import CollidingPairs, Contacts
+from pgccd.contacts.padded import PaddedCollidingPairs, PaddedContacts, checked_counts
+from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
+from pgccd.motion.paths import RigidMotion, VertexMotion
+from pgccd.motion.validation import Validation
+from pgccd.runtime.graph import Graph, capture
+from pgccd.runtime.host_copy import HostCopy
+from pgccd.search import broad, narrow
+from pgccd.search.detect import DetectOptions, detect
+from pgccd.search.query import Query
+from pgccd.search.sizes import BufferSizes, Capacity, CapacityError, sizes_of
+
+# Initial capacity, relative to what the first motion needs.
+_SLACK = 1.5
+
+
+@dataclass(frozen=True)
+class _Record:
+    """What the host reads of a replay, two calls later."""
+
+    counts: HostCopy  #: of `PaddedContacts.counts`
+    capacity: BufferSizes
+    validation: Validation
+
+    def check(self) -> None:
+        """Waits for the replay. Raises CapacityError or ValueError if its result is incomplete."""
+        checked_counts(self.counts.numpy().tolist(), self.capacity, self.validation, later=True)
+
+
+P = TypeVar("P", bound=PaddedContacts | PaddedCollidingPairs)
+
+
+class CapturedDetection(Generic[P]):
+    """`pgccd.detect` for the steps of a loop: poses are loaded into fixed memory, one CUDA graph is replayed, and
+    contacts are read from fixed memory. The result is bitwise equal to that of `detect`.
+
+    The graph is captured by the first call, which takes longer and synchronises. On a CPU there is none: each call runs
+    `detect` with the same capacity (`is_graph` is False).
+
+    Each call of `__call__` or `replay` first reads the counts of the call before the last, which a GPU has usually
+    finished. If that exceeded a capacity, the graph is captured again with a larger one; if a pose was invalid, a
+    ValueError names body and column. So this happens at the same call in every run, on every device. Until then an
+    incomplete result reads as contact at the start of the step, see `PaddedContacts`: a loop that moves bodies by
+    `first_toi` stands still for such a step, and goes on once the capacity suffices.
+
+    Type checkers know it as `CapturedDetection[PaddedContacts]`, or of report="any" as
+    `CapturedDetection[PaddedCollidingPairs]`; of a report in a variable, as that of both types.
+
+    Args:
+        scene: the bodies. Its columns are read at each call and may be written. If columns of the scene or of `motion`
+            are replaced, or `mesh_index` is written, the graph is captured again. The `mesh_index` of bodies that
+            deform is fixed.
+        motion: a step of the same kind as later ones, with the same number of bodies or vertices.
+        report, min_separation: as for `detect`.
+        capacity: of the result and of all intermediate lists. Default: 1.5 times what the first replayed motion needs.
+        options: tolerance, nonzero_toi, initial, broad_phase: as for `detect`.
+
+    Attributes:
+        scene: the bodies.
+        motion: the motion read by each replay, in fixed memory: written by `load`, or by kernels of the caller.
+        capacity: of the result and of all intermediate lists; None before the first replay, unless it was given.
+
+    Raises:
+        TypeError, ValueError: naming the argument.
+
+    Example:
+        >>> captured = pgccd.CapturedDetection(scene, motion)
+        >>> hits = captured(pgccd.RigidMotion(x0, q0, x1, q1))  # PaddedContacts
+        >>> safe = hits.first_toi().clamp(max=1.0)
+        >>> contacts = captured.contacts()  # trimmed copy; synchronises
+    """
+
+    @overload
+    def __init__(
+        self: "CapturedDetection[PaddedContacts]",
+        scene: Scene,
+        motion: RigidMotion | VertexMotion,
+        report: narrow.ContactReport = "first",
+        min_separation: float = 0.0,
+        *,
+        capacity: Capacity | None = None,
+        **options: Unpack[DetectOptions],
+    ) -> None: ...
+    @overload
+    def __init__(
+        self: "CapturedDetection[PaddedCollidingPairs]",
+        scene: Scene,
+        motion: RigidMotion | VertexMotion,
+        report: Literal["any"],
+        min_separation: float = 0.0,
+        *,
+        capacity: Capacity | None = None,
+        **options: Unpack[DetectOptions],
+    ) -> None: ...
+    @overload
+    def __init__(
+        self: "CapturedDetection[PaddedContacts | PaddedCollidingPairs]",
+        scene: Scene,
+        motion: RigidMotion | VertexMotion,
+        report: narrow.Report,
+        min_separation: float = 0.0,
+        *,
+        capacity: Capacity | None = None,
+        **options: Unpack[DetectOptions],
+    ) -> None: ...
+    def __init__(
+        self,
+        scene: Scene,
+        motion: RigidMotion | VertexMotion,
+        report: narrow.Report = "first",
+        min_separation: float = 0.0,
+        *,
+        capacity: Capacity | None = None,
+        **options: Unpack[DetectOptions],
+    ) -> None:
+        if not isinstance(scene, Scene):
+            raise TypeError(f"scene: expected a pgccd.Scene, got {arguments.describe(scene)}")
+        if not isinstance(motion, (RigidMotion, VertexMotion)):
+            kinds = "a pgccd.RigidMotion or pgccd.VertexMotion"
+            raise TypeError(f"motion: expected {kinds}, got {arguments.describe(motion)}")
+        Query(  # checks them
+            report,
+            min_separation,
+            options.get("tolerance"),
+            options.get("nonzero_toi", False),
+            options.get("initial", "report"),
+        )
+        unknown = set(options) - DetectOptions.__annotations__.keys()
+        if unknown:
+            raise TypeError(f"{min(unknown)}: expected one of {list(DetectOptions.__annotations__)}")
+        if options.get("normals", "features") != "features":
+            raise ValueError(f'normals: captured steps have those of the "features", got {options["normals"]!r}')
+        arguments.choice(options.get("broad_phase", "auto"), "broad_phase", broad.BROAD_PHASES)
+        if capacity is not None:
+            sizes_of(capacity)
+        self.scene = scene
+        self._report, self._min_separation, self._options = report, min_separation, options
+        self.capacity = capacity
+        self.motion = _copy_of(motion)
+        self._graph: Graph | None = None
+        self._read: list[object] = []  # inputs of the graph
+        self._found: P | None = None
+        # Calls so far, the one that made the result, and the records of the last two by number.
+        self._calls = self._call_of_found = 0
+        self._records: dict[int, _Record] = {}
+
+    def load(self, motion: RigidMotion | VertexMotion) -> None:
+        """Copies a motion into `self.motion`. Does not synchronise.
+
+        Raises:
+            TypeError, ValueError: the motion has another kind, size or path.
+        """
+        if type(motion) is not type(self.motion):
+            raise TypeError(f"motion: expected a {type(self.motion).__name__}, got {arguments.describe(motion)}")
+        if isinstance(motion, RigidMotion) and motion.path != self.motion.path:  # type: ignore[union-attr]
+            raise ValueError(f"motion: its path is {motion.path!r}, that captured {self.motion.path!r}")  # type: ignore[union-attr]
+        given = motion.columns()
+        for name, column in self.motion.columns().items():
+            if given[name].shape != column.shape or given[name].device != column.device:
+                expected = f"{tuple(column.shape)} on {column.device}"
+                raise ValueError(
+                    f"motion: {name}: expected {expected}, got {tuple(given[name].shape)} on {given[name].device}"
+                )
+            column.copy_(given[name])
+        _mark_invalid_given(self.motion, motion)
+
+    def replay(self) -> P:
+        """Detects the collisions of the loaded motion. Waits for the call before the last, and synchronises to capture
+        the graph. The next call overwrites the result, or returns one in new memory.
+
+        Raises:
+            ValueError: a pose was invalid in the call before the last or, without a given capacity, is in the first;
+                or the first step does not fit in memory in one pass.
+            CapacityError: the call before the last needs more than the largest capacity.
+        """
+        self._begin_call()
+        return self._replay()
+
+    def __call__(self, motion: RigidMotion | VertexMotion) -> P:
+        """`load`, then `replay`; raises before the motion is loaded."""
+        self._begin_call()
+        self.load(motion)
+        return self._replay()
+
+    @overload
+    def contacts(self: "CapturedDetection[PaddedContacts]") -> Contacts: ...
+    @overload
+    def contacts(self: "CapturedDetection[PaddedCollidingPairs]") -> CollidingPairs: ...
+    @overload
+    def contacts(self) -> Contacts | CollidingPairs: ...
+    def contacts(self) -> Contacts | CollidingPairs:
+        """A copy of the contacts of the last call; replays first if there was none. Synchronises. If a capacity was
+        exceeded, the step is captured again with a larger one, and replayed.
+
+        Raises:
+            ValueError: the motion is invalid.
+        """
+        padded = self.replay() if self._found is None else self._found
+        self._records.pop(self._call_of_found, None)  # read now instead of two calls later
+        while True:
+            try:
+                found = padded.trim()
+            except CapacityError as error:
+                self._grow(error)
+                padded = self._run()
+            else:
+                return found.clone() if self.is_graph else found
+
+    @property
+    def is_graph(self) -> bool:
+        """Whether replays use a CUDA graph."""
+        return self.scene.device.type == "cuda"
+
+    def _begin_call(self) -> None:
+        """Counts a call, and reads the record of the call before the last."""
+        self._calls += 1
+        record = self._records.pop(self._calls - 2, None)
+        if record is None:
+            return
+        try:
+            record.check()
+        except CapacityError as error:
+            self._grow(error)
+        except ValueError as error:
+            raise ValueError(f"{error} (in the call before the last)") from None
+
+    def _replay(self) -> P:
+        found = self._run()
+        self._call_of_found = self._calls
+        with torch.cuda.device_of(found.counts):  # the event that is waited for belongs to the current device
+            self._records[self._calls] = _Record(
+                HostCopy.start(found.counts), sizes_of(found.capacity), found._validation
+            )
+        return found
+
+    def _run(self) -> P:
+        self.capacity = self.capacity or self._estimate()
+        if not self.is_graph:
+            self._found = self._detect()
+        else:
+            inputs = self._inputs()
+            if self._graph is not None and not _are_same(inputs, self._read):
+                self._drop_graph()
+            if self._graph is None:
+                self._graph, self._found = capture(self._detect, self.scene.device)
+                self._read = inputs
+            self._graph.replay()
+        assert self._found is not None
+        return self._found
+
+    def _grow(self, error: CapacityError) -> None:
+        """Chooses a capacity for a step that exceeded one; the graph is captured again with it."""
+        assert self.capacity is not None
+        present, needed = sizes_of(self.capacity), sizes_of(error.needed)
+        names = [field.name for field in fields(BufferSizes)]
+        if error.capacity is not present and all(getattr(needed, name) <= getattr(present, name) for name in names):
+            return  # it has grown since then
+        larger = present.grown(needed)
+        if larger == present:
+            raise error
+        self.capacity = larger
+        self._drop_graph()
+
+    def _drop_graph(self) -> None:
+        """Lets the next replay capture a graph."""
+        if self._graph is not None:
+            torch.cuda.synchronize(self.scene.device)  # the graph may be running
+            self._graph = None
+
+    def _inputs(self) -> list[object]:
+        """What a graph has captured for good. The radii are copies, made when `mesh_index` was written."""
+        scene, motion = self.scene, self.motion
+        columns = [getattr(scene, name) for name in ("mesh_index", "self_collision", *OPTIONAL_COLUMNS)]
+        written = None if scene.mesh_index.is_inference() else scene.mesh_index._version
+        of_motion = [*motion.columns().values(), getattr(motion, "path", None)]
+        return [*columns, *of_motion, written]
+
+    def _estimate(self) -> Capacity:
+        found = detect(self.scene, self.motion, self._report, self._min_separation, **self._options)
+        needed = found.stats.needed
+        if needed is None:
+            raise ValueError("motion: this step does not fit in memory in one pass; use pgccd.detect")
+        return needed.times(_SLACK)
+
+    def _detect(self) -> P:
+        assert self.capacity is not None
+        found = detect(
+            self.scene, self.motion, self._report, self._min_separation, capacity=self.capacity, **self._options
+        )
+        return cast(P, found)
+
+    def __repr__(self) -> str:
+        return f"CapturedDetection(bodies={self.scene.body_count}, graph={self.is_graph}, device={self.scene.device})"
+
+
+def _copy_of(motion: RigidMotion | VertexMotion) -> RigidMotion | VertexMotion:
+    columns = {name: column.clone() for name, column in motion.columns().items()}
+    if isinstance(motion, VertexMotion):
+        return VertexMotion(**columns)
+    copied = RigidMotion.from_rotation(**columns, path=motion.path)
+    _mark_invalid_given(copied, motion)
+    return copied
+
+
+def _mark_invalid_given(copied: RigidMotion | VertexMotion, motion: RigidMotion | VertexMotion) -> None:
+    """Makes rotations of a copy of a motion invalid from its first invalid end orientation on. These are not columns,
+    and only the first one is known.
+    """
+    first = motion._first_invalid_given
+    if first is not None and isinstance(copied, RigidMotion):
+        rows = torch.arange(copied.body_count, device=first.device)
+        copied.rotation.masked_fill_((rows >= first)[:, None], torch.nan)
+
+
+def _are_same(one: list[object], other: list[object]) -> bool:
+    """Whether both have the same tensors and equal numbers."""
+    return all(a is b or (isinstance(a, (int, str)) and a == b) for a, b in zip(one, other, strict=True))

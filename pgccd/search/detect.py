@@ -1,0 +1,409 @@
+"""One step of continuous collision detection, from poses to contacts."""
+
+import time
+from functools import partial
+from typing import Any, Literal, TypedDict, Unpack, overload
+
+import torch
+from torch import Tensor
+
+from pgccd import arguments, ops
+from pgccd.contacts.approach import Cause, versions_of
+from pgccd.contacts.contacts import CollidingPairs, Contacts, earliest_of_each
+from pgccd.contacts.gradients import add_gradients
+from pgccd.contacts.normals import NORMALS, Normals, surface_normals
+from pgccd.contacts.padded import PaddedCollidingPairs, PaddedContacts
+from pgccd.contacts.sites import Sites
+from pgccd.geometry.scene import Scene
+from pgccd.motion.differentiable import any_differentiated
+from pgccd.motion.paths import RigidMotion, VertexMotion
+from pgccd.motion.trajectory import Trajectory
+from pgccd.runtime.attempts import TooSmall, until_it_fits
+from pgccd.runtime.graph import is_capturing
+from pgccd.search import broad, narrow
+from pgccd.search.bodies import MovingBodies
+from pgccd.search.checks import Initial, check_pairs, separation_value, warn_of_only_body, warn_of_rounded_positions
+from pgccd.search.memory import CapacityEstimate, estimate_of, memory_limit, pairs_a_chunk
+from pgccd.search.padded import PaddedSearch, search_padded, search_rigid
+from pgccd.search.query import Query
+from pgccd.search.sizes import EXACTLY, BufferSizes, Capacity, sizes_of
+from pgccd.search.streaming import stream
+from pgccd.search.trajectories import TrajectoryContacts, detect_trajectory
+
+# A step that overflows is repeated with a larger capacity, at most once per stage that may overflow.
+_ATTEMPTS = 6
+
+
+class DetectOptions(TypedDict, total=False):
+    """Options of `detect`."""
+
+    tolerance: float | None
+    nonzero_toi: bool
+    initial: Initial
+    normals: Normals
+    broad_phase: broad.BroadPhase
+    memory_budget: int | None
+
+
+# Of a step, of a step in a given capacity, and of a trajectory: by report contacts, colliding pairs, or either, if the
+# report is a variable.
+@overload
+def detect(
+    scene: Scene,
+    motion: RigidMotion | VertexMotion,
+    report: narrow.ContactReport = "first",
+    min_separation: float | Tensor = 0.0,
+    *,
+    pairs: Tensor | None = None,
+    capacity: None = None,
+    **options: Unpack[DetectOptions],
+) -> Contacts: ...
+@overload
+def detect(
+    scene: Scene,
+    motion: RigidMotion | VertexMotion,
+    report: Literal["any"],
+    min_separation: float | Tensor = 0.0,
+    *,
+    pairs: Tensor | None = None,
+    capacity: None = None,
+    **options: Unpack[DetectOptions],
+) -> CollidingPairs: ...
+@overload
+def detect(
+    scene: Scene,
+    motion: RigidMotion | VertexMotion,
+    report: narrow.Report,
+    min_separation: float | Tensor = 0.0,
+    *,
+    pairs: Tensor | None = None,
+    capacity: None = None,
+    **options: Unpack[DetectOptions],
+) -> Contacts | CollidingPairs: ...
+@overload
+def detect(
+    scene: Scene,
+    motion: RigidMotion | VertexMotion,
+    report: narrow.ContactReport = "first",
+    min_separation: float | Tensor = 0.0,
+    *,
+    pairs: Tensor | None = None,
+    capacity: Capacity,
+    **options: Unpack[DetectOptions],
+) -> PaddedContacts: ...
+@overload
+def detect(
+    scene: Scene,
+    motion: RigidMotion | VertexMotion,
+    report: Literal["any"],
+    min_separation: float | Tensor = 0.0,
+    *,
+    pairs: Tensor | None = None,
+    capacity: Capacity,
+    **options: Unpack[DetectOptions],
+) -> PaddedCollidingPairs: ...
+@overload
+def detect(
+    scene: Scene,
+    motion: RigidMotion | VertexMotion,
+    report: narrow.Report,
+    min_separation: float | Tensor = 0.0,
+    *,
+    pairs: Tensor | None = None,
+    capacity: Capacity,
+    **options: Unpack[DetectOptions],
+) -> PaddedContacts | PaddedCollidingPairs: ...
+@overload
+def detect(
+    scene: Scene,
+    motion: Trajectory,
+    report: narrow.ContactReport = "first",
+    min_separation: float | Tensor = 0.0,
+    *,
+    pairs: Tensor | None = None,
+    **options: Unpack[DetectOptions],
+) -> TrajectoryContacts: ...
+@overload
+def detect(
+    scene: Scene,
+    motion: Trajectory,
+    report: Literal["any"],
+    min_separation: float | Tensor = 0.0,
+    *,
+    pairs: Tensor | None = None,
+    **options: Unpack[DetectOptions],
+) -> CollidingPairs: ...
+@overload
+def detect(
+    scene: Scene,
+    motion: Trajectory,
+    report: narrow.Report,
+    min_separation: float | Tensor = 0.0,
+    *,
+    pairs: Tensor | None = None,
+    **options: Unpack[DetectOptions],
+) -> TrajectoryContacts | CollidingPairs: ...
+def detect(
+    scene: Scene,
+    motion: RigidMotion | VertexMotion | Trajectory,
+    report: narrow.Report = "first",
+    min_separation: float | Tensor = 0.0,
+    *,
+    tolerance: float | None = None,
+    nonzero_toi: bool = False,
+    initial: Initial = "report",
+    normals: Normals = "features",
+    broad_phase: broad.BroadPhase = "auto",
+    pairs: Tensor | None = None,
+    memory_budget: int | None = None,
+    capacity: Capacity | None = None,
+) -> Contacts | CollidingPairs | PaddedContacts | PaddedCollidingPairs:
+    """Finds the collisions that happen during one step, or during all steps of a trajectory.
+
+    Nothing is missed: if the surfaces of two bodies come within min_separation at some t in [0, 1] on the paths the
+    motion defines, a contact is reported, and its toi is not later than that t. A surface is the union of its closed
+    triangles. Surfaces that are disjoint at t = 0 first meet where a vertex meets a face or two edges meet; surfaces
+    that intersect at t = 0 are reported with toi 0 (kinds `EF_AB` and `EF_BA` where an edge passes through a face).
+    The same holds within a body that deforms (`VertexMotion`) and has `self_collision` set in the scene, for features
+    that share no vertex; such contacts have the pair (i, i). A body wholly inside another, without contact, does not
+    touch its surface: see `pgccd.enclosed`.
+
+    If columns of the motion, margins or min_separation (then a tensor ()) require grad, so do the times, points,
+    coordinates and normals of the contacts: see docs/how-to/gradients.md. The bits of the result do not depend on it.
+
+    Args:
+        scene: the bodies.
+        motion: their paths. All segments of a `Trajectory` are tested in one call: "first" is then the first contact of
+            each pair over all segments, "earliest" that of the scene, "any" the pairs that collide in any segment, and
+            "all" the contacts of every segment; `capacity` may not be given.
+        report: "any": the body pairs that collide (Alg. 2 of Du, Liu & Suzumura 2017). "first": the earliest contact of
+            each pair (of equal toi the smallest kind and features). "all": every touching feature pair. "earliest": the
+            first contact of the scene; its toi is the largest collision-free fraction of the step.
+        min_separation: length >= 0. Bodies may have margins besides, see `Scene`.
+        tolerance: a reported contact comes within min_separation + tolerance (length). Default: 1e-6 of the smaller
+            SBV radius of each pair.
+        nonzero_toi: never report toi = 0 for a pair that starts further apart than min_separation (beyond rounding).
+        initial: "report": surfaces that intersect at t = 0 are reported. "assume_free": the caller guarantees that none
+            do, for example because a previous step ended before its first contact; the test is left out.
+        normals: "features": `Contacts.normal` is the direction between the nearest points of the two features. Where a
+            body slides over an edge between coplanar faces, that may be any. "surface": it is replaced by the nearest
+            direction that the faces around these points admit: of a flat or concave edge the normal of a face, of a
+            convex one anything between those of its two faces, which features have. All other columns stay. Costs time
+            and memory proportional to contacts; not with a capacity, nor where an input requires grad. See
+            docs/how-to/solver.md.
+        broad_phase: how the PCS is found: "sweep", "grid", "lbvh", or "auto", which chooses by number and sizes of the
+            bodies (see `stats`). The result does not depend on it.
+        pairs: (P, 2) int64, i < j (or i, i for a body tested against itself), sorted and unique: test only these body
+            pairs, without a broad phase; of a trajectory, in each of its segments. The scene's filters and `exclude`
+            are not applied to them.
+        memory_budget: bytes of scratch memory to aim at; the PCS is streamed in chunks to respect it. Default 1 GiB,
+            or a quarter of what is free on a GPU if that is more. The result does not depend on it.
+        capacity: of the result and of all intermediate lists. Then sizes are fixed and the call does not synchronise,
+            so that it can be captured by `torch.cuda.graph` and compiled by `torch.compile(fullgraph=True)`. If a
+            capacity was exceeded or a pose is invalid, the result reads as contact at the start of the step, until
+            `trim` raises: see `PaddedContacts`. (For deforming bodies, call it once before capturing.)
+
+    Returns:
+        Contacts, on the scene's device; PaddedContacts if `capacity` is given, TrajectoryContacts for a trajectory.
+        With report="any" CollidingPairs, also for a trajectory, or PaddedCollidingPairs. On a GPU the host synchronises
+        once, to read the counts; again only if a step exceeds the capacity estimated from the last one.
+
+    Raises:
+        ValueError, TypeError: naming the argument; also if an input requires grad and a capacity is given. A
+            UserWarning names a scene whose only body is not tested against itself.
+
+    Example:
+        >>> hits = pgccd.detect(scene, pgccd.RigidMotion(x0, q0, x1, q1), report="earliest")
+        >>> safe = float(hits.toi[0]) if len(hits) else 1.0
+        >>> x = x0 + safe * (x1 - x0)
+    """
+    query = Query(report, separation_value(min_separation), tolerance, nonzero_toi, initial)
+    if memory_budget is not None:
+        memory_budget = arguments.integer(memory_budget, "memory_budget", 1, "a number of bytes > 0")
+    arguments.choice(normals, "normals", NORMALS)
+    if normals != "features" and capacity is not None:
+        raise ValueError(f'normals: contacts in a given capacity have those of the "features", got {normals!r}')
+    sizes = None if capacity is None else sizes_of(capacity)
+    if not isinstance(scene, Scene):
+        raise TypeError(f"scene: expected a pgccd.Scene, got {arguments.describe(scene)}")
+    if not isinstance(motion, (RigidMotion, VertexMotion, Trajectory)):
+        kinds = "a pgccd.RigidMotion, VertexMotion or Trajectory"
+        raise TypeError(f"motion: expected {kinds}, got {arguments.describe(motion)}")
+    if isinstance(motion, Trajectory):
+        if scene.body_count == 1:
+            warn_of_only_body(scene, motion)
+        if capacity is not None:
+            raise ValueError("capacity: cannot be given with a Trajectory, whose segments are found in one call")
+        options: DetectOptions = {"tolerance": tolerance, "nonzero_toi": nonzero_toi, "initial": initial}
+        options |= {"normals": normals, "broad_phase": broad_phase, "memory_budget": memory_budget}
+        detect_step = partial(detect, min_separation=min_separation, **options)
+        of_segments = detect_trajectory(scene, motion, query, detect_step, pairs)
+        warn_of_rounded_positions(scene, motion)
+        return of_segments
+    given = scene, motion
+    differentiated = motion._is_differentiated or any_differentiated(scene.margin, min_separation)
+    if differentiated:
+        if capacity is not None:
+            raise ValueError(
+                "capacity: contacts in a given capacity have no gradients, but an input requires grad: leave the "
+                "capacity out, or call it under torch.no_grad()"
+            )
+        if normals != "features":
+            raise ValueError(
+                f'normals: {normals!r} have no gradients, but an input requires grad: use "features", or call it under '
+                "torch.no_grad()"
+            )
+        scene, motion = scene._detached(), motion._detached()
+    on_cpu = scene.device.type == "cpu"
+    start = time.perf_counter() if capacity is None else 0.0  # time is not available in compiled graphs
+    # An operator for the whole step also checks the poses.
+    is_one_operator = pairs is None and isinstance(motion, RigidMotion)
+    bodies = MovingBodies.of(scene, motion, wait=on_cpu and capacity is None and not is_one_operator)
+    if scene.body_count == 1:
+        warn_of_only_body(scene, motion)
+    if capacity is None:  # a captured step cannot wait for an answer
+        warn_of_rounded_positions(scene, motion)
+    seconds = time.perf_counter() - start if capacity is None else 0.0
+    broad.choose(bodies, broad_phase)  # raises for an unknown name
+    if pairs is not None:
+        pairs = check_pairs(pairs, scene, bodies.deforming, ascending=True)
+    if sizes is not None:
+        return search_padded(bodies, query, sizes, broad_phase, pairs, marks_invalid=True).padded()
+    found = detect_moving(bodies, query, broad_phase, pairs, memory_budget)
+    found.stats.seconds = {"bounds": seconds} | found.stats.seconds
+    found.scene = given[0]
+    if isinstance(found, CollidingPairs):
+        return found
+    if differentiated:
+        add_gradients(found, *given, min_separation)
+    elif normals == "surface":
+        sites = Sites.of(found, scene, motion, found.pairs)
+        found.normal = surface_normals(sites, found.normal.cpu()).to(scene.device)
+    options = {"tolerance": tolerance, "nonzero_toi": nonzero_toi, "initial": initial, "normals": normals}
+    again = partial(_approaching, *given, min_separation=min_separation, memory_budget=memory_budget, **options)
+    found._cause = Cause(*given, tolerance, report == "first", again, versions_of(motion))
+    return found
+
+
+def _approaching(
+    scene: Scene, motion: RigidMotion | VertexMotion, pairs: Tensor, slack: float | None, **options: Any
+) -> Contacts:
+    """The first contacts that approach of some pairs (P, 2), see `Cause.again`."""
+    found: Contacts = detect(scene, motion, "all", pairs=pairs, **options)
+    found = found.approaching(slack)
+    _, owner = torch.unique(found.pairs, dim=0, return_inverse=True)
+    return found[earliest_of_each(owner, len(found), found.toi)]
+
+
+def detect_moving(
+    bodies: MovingBodies,
+    query: Query,
+    broad_phase: broad.BroadPhase = "auto",
+    pairs: Tensor | None = None,
+    memory_budget: int | None = None,
+) -> Contacts | CollidingPairs:
+    """`detect` without its checks, for bodies in motion.
+
+    Args:
+        bodies: on a CPU already validated.
+        query, broad_phase, memory_budget: as for `detect`.
+        pairs: (P, 2) int64, or None. Where bodies have ids that rows do not follow, the body named first is i.
+    """
+    on_cpu = bodies.device.type == "cpu"
+    in_one_pass = _detect_exactly if on_cpu else _detect_in_capacity
+    found = in_one_pass(bodies, query, broad_phase, pairs, memory_budget)
+    if found is not None:
+        return found
+
+    def solve(chunk: Tensor, budget: int | None) -> Contacts | CollidingPairs | None:
+        if not on_cpu:
+            return _detect_in_capacity(bodies, query, "auto", chunk, budget)
+        search = search_padded(bodies, query, EXACTLY, "auto", chunk)
+        return search.contacts(search.read())
+
+    return stream(bodies, query, broad_phase, pairs, memory_budget, solve)
+
+
+def start_search(
+    bodies: MovingBodies,
+    query: Query,
+    pairs: Tensor,
+    pair_counts: Tensor | None = None,
+    capacity: BufferSizes | None = None,
+    estimate: CapacityEstimate | None = None,
+) -> PaddedSearch:
+    """Starts `detect_moving` without synchronising; `PaddedSearch.contacts` completes it.
+
+    Args:
+        bodies, query, pairs: as for `detect_moving`.
+        pair_counts: (7,) int64 on the device: the first of `Counts`, if some of the pairs are padding.
+        capacity: of the search. Default: `expected_capacity`; if that is None, a capacity of zero, which overflows.
+        estimate: see `expected_capacity`.
+    """
+    if bodies.device.type != "cpu":
+        ops.take_scratch_peak()  # discards the peak of earlier steps
+    if capacity is None:
+        capacity = expected_capacity(bodies, pairs, estimate or CapacityEstimate()) or BufferSizes(0, 0)
+    return search_padded(bodies, query, capacity, "auto", pairs, pair_counts)
+
+
+def expected_capacity(
+    bodies: MovingBodies, pairs: Tensor | None, estimate: CapacityEstimate, **slack: float
+) -> BufferSizes | None:
+    """The estimated capacity; None if it needs too much memory. A graph cannot be captured without one: there, too
+    little memory is an error.
+    """
+    if bodies.device.type == "cpu":
+        return EXACTLY
+    capacity = estimate.capacity(bodies.scene, pairs, **slack)
+    if is_capturing():
+        return capacity
+    return None if capacity.bytes > memory_limit(None, capacity.bytes, bodies.device) else capacity
+
+
+def _detect_exactly(
+    bodies: MovingBodies, query: Query, broad_phase: broad.BroadPhase, pairs: Tensor | None, memory_budget: int | None
+) -> Contacts | CollidingPairs | None:
+    """Runs all stages by one operator, on a CPU; None for deforming bodies, given or excluded pairs, or if the pairs
+    exceed the memory budget.
+    """
+    if pairs is not None or bodies.deforming or bodies.scene.exclude is not None:
+        return None
+    estimate = estimate_of(bodies.scene, query, None)
+    most = pairs_a_chunk(bodies.scene, estimate, memory_budget)
+    if estimate.needed is not None and estimate.needed.pairs > most:  # predicted from the last step
+        return None
+    search = search_rigid(bodies, query, EXACTLY, broad_phase, [most, 0, 0])
+    counts = search.read()
+    if not counts.pairs_overflow:
+        return search.contacts(counts)
+    estimate.learn(bodies.scene.body_count, counts.needed(EXACTLY))
+    return None
+
+
+def _detect_in_capacity(
+    bodies: MovingBodies, query: Query, broad_phase: broad.BroadPhase, pairs: Tensor | None, memory_budget: int | None
+) -> Contacts | CollidingPairs | None:
+    """Runs all stages in the estimated capacity, and again in larger ones on overflow; None if that needs too much
+    memory.
+    """
+    estimate, attempts = estimate_of(bodies.scene, query, pairs), 0
+    ops.take_scratch_peak()  # discards the peak of earlier steps
+
+    def attempt(capacity: BufferSizes) -> Contacts | CollidingPairs | TooSmall[BufferSizes] | None:
+        nonlocal attempts
+        attempts += 1
+        if attempts > _ATTEMPTS or capacity.bytes > memory_limit(memory_budget, capacity.bytes, bodies.device):
+            return None
+        search = search_padded(bodies, query, capacity, broad_phase, pairs)
+        counts = search.read()
+        needed = counts.needed(capacity)
+        estimate.learn(bodies.scene.body_count if pairs is None else len(pairs), needed)
+        if counts.overflow:
+            return TooSmall(capacity.grown(needed))
+        contacts = search.contacts(counts)
+        contacts.stats.waits = attempts
+        contacts.stats.scratch_bytes = ops.take_scratch_peak()
+        return contacts
+
+    return until_it_fits(attempt, estimate.capacity(bodies.scene, pairs))

@@ -1,0 +1,167 @@
+"""Bounds of how near bodies come to one another."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from pgccd import arguments, ops
+from pgccd.contacts.contacts import earliest_of_each
+from pgccd.geometry.scene import Scene
+from pgccd.motion.paths import RigidMotion, VertexMotion
+from pgccd.motion.trajectory import Trajectory
+from pgccd.search import broad
+from pgccd.search.bodies import MovingBodies
+from pgccd.search.checks import RELATIVE_TOLERANCE, check_pairs, operator_tolerance, warn_of_rounded_positions
+from pgccd.search.trajectories import in_scene, segments_as_step, time_along
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class Distances:
+    """Certified bounds of the least distance of body pairs over a motion, made by `pgccd.distance`.
+
+    Attributes:
+        pairs: (K, 2) int64, i < j.
+        lower: (K,) float64 >= 0, length: the surfaces are never nearer than this.
+        upper: (K,) float64, length: at `time` they are at most this far apart. 0 if they intersect there, or touch with
+            their margins; inf if `lower` is above the cutoff, or if the search ended before it found any.
+        time: (K,) float64 in [0, 1], along the whole motion; nan where `upper` is inf. If several times and points are
+            equally near within the tolerance, these are of any of them.
+        points: (K, 2, 3) float64, world frame: a point of the surface of i and one of j at `time`, on the meshes, not
+            their margins; nan where `upper` is inf. Not certified: rounded, as world coordinates are. Where surfaces
+            intersect, both are the same point, up to rounding, of the intersection.
+        converged: (K,) bool: whether `upper` - `lower` is at most the tolerance, or `lower` above the cutoff.
+
+    Example:
+        >>> near = pgccd.distance(scene, motion, cutoff=0.1)
+        >>> clearance = min(near.lower.tolist(), default=0.1)  # of all pairs: without a row, above the cutoff
+    """
+
+    pairs: Tensor
+    lower: Tensor
+    upper: Tensor
+    time: Tensor
+    points: Tensor
+    converged: Tensor
+
+    def __len__(self) -> int:
+        """Number of pairs."""
+        return len(self.pairs)
+
+    def __repr__(self) -> str:
+        """The number of pairs, and the bounds of the least distance of all."""
+        if not len(self):
+            return f"Distances(count=0, device={self.pairs.device})"
+        least = f"least={float(self.lower.min()):.6g}..{float(self.upper.min()):.6g}"
+        return f"Distances(count={len(self)}, {least}, device={self.pairs.device})"
+
+
+def distance(
+    scene: Scene,
+    motion: RigidMotion | VertexMotion | Trajectory,
+    *,
+    cutoff: float | None = None,
+    pairs: Tensor | None = None,
+    tolerance: float | None = None,
+) -> Distances:
+    """How near bodies come to one another during a motion: a lower and an upper bound of the least distance of their
+    surfaces at equal times, both certified, and where and when the upper one is attained.
+
+    Bodies that stand still relative to each other, as with `RigidMotion.at_rest`, have the distance of their poses, to
+    within rounding. The distance is that of surfaces, less the margins of both bodies: 0 if they intersect or touch,
+    not the depth of penetration. A body inside another one has the distance of both surfaces (`pgccd.enclosed` tells
+    the two apart). Bodies have no distance from themselves.
+
+    Args:
+        scene: the bodies.
+        motion: their paths; of a `Trajectory`, over all of its segments.
+        cutoff: length >= 0: larger distances do not matter. Required unless `pairs` are given.
+        pairs: (P, 2) int64, i < j, in any order: the pairs to measure, each a row of the result. The scene's filters
+            and `exclude` are not applied to them. Default: all pairs that they allow and that may come within the
+            cutoff.
+        tolerance: length: a search ends once its bounds are so close, or it has done the work of about a second on a
+            CPU. Rounding limits it to some 1e-12 of the size and offset of the bodies; see `Distances.converged`.
+            Default: 1e-6 of the smaller radius of each pair, SBV radius and margin. Costs grow slowly as it decreases,
+            unless bodies are equally near in very many places, such as one that turns within another.
+
+    Returns:
+        Distances, on the scene's device: a row for each of the given pairs, or for those that are not certainly further
+        apart than the cutoff, sorted. Synchronises with a GPU.
+
+    Raises:
+        TypeError, ValueError: naming the argument; also if neither `cutoff` nor `pairs` are given, or an input requires
+            grad.
+
+    Example:
+        >>> near = pgccd.distance(scene, pgccd.RigidMotion.at_rest(x, q), cutoff=0.5)
+        >>> near.pairs, near.lower, near.points
+    """
+    if not isinstance(scene, Scene):
+        raise TypeError(f"scene: expected a pgccd.Scene, got {arguments.describe(scene)}")
+    if not isinstance(motion, (RigidMotion, VertexMotion, Trajectory)):
+        kinds = "a pgccd.RigidMotion, VertexMotion or Trajectory"
+        raise TypeError(f"motion: expected {kinds}, got {arguments.describe(motion)}")
+    if cutoff is None and pairs is None:
+        raise ValueError("cutoff: expected a length, unless pairs are given")
+    limit = math.inf if cutoff is None else arguments.length(cutoff, "cutoff")
+    accuracy = operator_tolerance(tolerance)
+    if pairs is not None:
+        pairs = check_pairs(pairs, scene, deforms=False)
+    if isinstance(motion, Trajectory):
+        motion._refuse_gradient()
+        found = _along(scene, motion, limit, pairs, accuracy)
+    else:
+        found = _of_step(scene, motion, limit, pairs, accuracy)[0]
+    warn_of_rounded_positions(scene, motion)
+    return found
+
+
+def _of_step(
+    scene: Scene, motion: RigidMotion | VertexMotion, cutoff: float, pairs: Tensor | None, tolerance: float
+) -> tuple[Distances, Tensor]:
+    """The distances of a step, and for each row the tolerance (K,)."""
+    bodies = MovingBodies.of(scene, motion)
+    wanted = pairs
+    if wanted is None:
+        wanted = broad.find_pairs_of_checked(bodies, cutoff, broad.choose(bodies), tolerance=0.0)
+        wanted = wanted[wanted[:, 0] != wanted[:, 1]]
+    lower, upper, time, points = ops.distances(bodies.operands, wanted, cutoff, tolerance)
+    thick = bodies.radius if scene.margin is None else bodies.radius + scene.margin
+    radius = thick[wanted].amin(dim=1)
+    allowed = RELATIVE_TOLERANCE * radius if tolerance < 0.0 else torch.full_like(radius, tolerance)
+    converged = (upper - lower <= allowed) | (lower > cutoff)
+    found = Distances(pairs=wanted, lower=lower, upper=upper, time=time, points=points, converged=converged)
+    if pairs is not None:
+        return found, allowed
+    near = lower <= cutoff
+    return _rows(found, near), allowed[near]
+
+
+def _rows(found: Distances, rows: Tensor) -> Distances:
+    return Distances(**{name: column[rows] for name, column in vars(found).items()})
+
+
+def _along(scene: Scene, trajectory: Trajectory, cutoff: float, pairs: Tensor | None, tolerance: float) -> Distances:
+    """The least distances of all segments, each of which is a step of copies of the bodies."""
+    segments = trajectory.segment_count
+    copies, steps, of_copies = segments_as_step(scene, trajectory, pairs)
+    found, allowed = _of_step(copies, steps, cutoff, of_copies, tolerance)
+    segment, of_scene = in_scene(found.pairs, scene.body_count)
+    if pairs is None:
+        pairs, owner = torch.unique(of_scene, dim=0, return_inverse=True)
+    else:
+        owner = torch.arange(len(pairs), device=scene.device).repeat(segments)
+    least = torch.full((len(pairs),), math.inf, dtype=torch.float64, device=scene.device)
+    lower = least.scatter_reduce(0, owner, found.lower, "amin")
+    rows = earliest_of_each(owner, len(pairs), found.upper)
+    nearest, segment = _rows(found, rows), segment[rows]
+    time = torch.where(torch.isnan(nearest.time), nearest.time, time_along(segment, nearest.time, segments))
+    # Segments in which the bodies are further apart need not have ended.
+    are_converged = least.scatter_reduce(0, owner, found.converged.to(torch.float64), "amin") > 0.0
+    is_converged = are_converged | (nearest.upper - lower <= least.scatter_reduce(0, owner, allowed, "amin"))
+    return Distances(
+        pairs=pairs, lower=lower, upper=nearest.upper, time=time, points=nearest.points, converged=is_converged
+    )
