@@ -75,8 +75,10 @@ class Simulation(RankSteps[Step, CommittedStep, StepGraph]):
         self._expected, self._stop = expected, False
         self._state, self._arrived = state, 0
         self._scene: tuple[Tensor, Scene] | None = None
+        # What one rank reports besides `count_step`, in the order of `Reports`: it has no ghosts, and no robot leaves.
+        self._report = torch.zeros(REPORTED, dtype=torch.int64, device=model.device)
         # Written before a replay: number of robots that arrived since the last one; whether to stop.
-        self._notes = torch.zeros(2, dtype=torch.int64, device=model.device)
+        self._notes = self._report[1:3]
 
     @classmethod
     @collective
@@ -259,8 +261,11 @@ class Simulation(RankSteps[Step, CommittedStep, StepGraph]):
         self._state = RobotState(**columns)
 
     def _graph_of(self, index: int, decomposition: Decomposition, sizes: HaloSizes, rows: int) -> StepGraph:
+        alone = self.comm.size == 1
+        scene = self._scene_of(self._state.id) if alone else None  # of one rank the robots stay the same
+
         def search(planned: RobotState, discard: Tensor) -> Searches:
-            return self._search_padded(planned, discard, decomposition, sizes)
+            return self._search_padded(planned, discard, decomposition, sizes, scene)
 
         def summarise(searches: Searches, after: RobotState) -> Tensor:
             """As in `Reports`: numbers of ghosts and of robots that arrived, whether to stop, and number in cells of
@@ -279,16 +284,23 @@ class Simulation(RankSteps[Step, CommittedStep, StepGraph]):
             self._plan,
             self._recent.to_capture,
             self._recent.usual,
-            summarise,
-            rows,
+            (lambda *_: self._report) if alone else summarise,
+            len(self._state) if alone else rows,
         )
 
     def _search_padded(
-        self, planned: RobotState, discard: Tensor, decomposition: Decomposition, sizes: HaloSizes
+        self,
+        planned: RobotState,
+        discard: Tensor,
+        decomposition: Decomposition,
+        sizes: HaloSizes,
+        scene: Scene | None,
     ) -> Searches:
-        """Enqueues the searches of a planned step, for a graph."""
-        own, scene = planned.moving_columns, self.model.scene(planned.id)
-        scene._leave_out(planned.id < 0)
+        """Enqueues the searches of a planned step, for a graph. Without a `scene` there may be padding."""
+        own = planned.moving_columns
+        if scene is None:
+            scene = self.model.scene(planned.id)
+            scene._leave_out(planned.id < 0)
         bodies = MovingBodies.of(scene, self.model.motion(planned), wait=False)
 
         def beside(share: Share) -> tuple[HeldExchange, Partners]:
@@ -309,7 +321,9 @@ class Simulation(RankSteps[Step, CommittedStep, StepGraph]):
             discard=discard,
             slack=GRAPH_SLACK,
         )
-        failed = [share.overflow, bodies._first_invalid_rows()[-1:], exchange.overflow()]
+        failed = [bodies._first_invalid_rows()[-1:]]
+        if self.comm.size > 1:
+            failed += [share.overflow, exchange.overflow()]
         return Searches(share.passes, partners, share.held.id, exchange, failed)
 
     def _largest_message(self, sizes: HaloSizes) -> int:

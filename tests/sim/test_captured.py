@@ -229,3 +229,11 @@ def test_no_room_for_an_eager_step_beside_the_graph(device: torch.device, graphs
         made = [simulation.step(index, more=7 - index) for index in range(8)]
     assert [without_times(step.record) for step in made] == expected
     assert len(warned) == 1 and len(graphs) == 1 and not any(isinstance(step, CommittedStep) for step in made)
+
+
+def test_a_replay_tells_that_it_was_asked_to_stop(device: torch.device, graphs: list[StepGraph]) -> None:
+    model = Model(ModelConfig(**FAST), device=device)
+    simulation = alone(model, graph=True)
+    made = [simulation.step(index, stop=index == 4, more=11 - index) for index in range(8)]
+    assert isinstance(made[-1], CommittedStep) and [step.stop_requested for step in made][:4] == [False] * 4
+    assert made[-1].stop_requested and "ranks" not in made[-1].record
