@@ -8,6 +8,7 @@ from pgccd import _requirements as _requirements  # first: its errors say what i
 from pgccd._host import build_information as _build_information
 from pgccd.auditing.audit import audit
 from pgccd.auditing.results import Audit, Passages, Touching
+from pgccd.contacts.approach import approach_rates
 from pgccd.contacts.contacts import CollidingPairs, Contacts, Stats
 from pgccd.contacts.kinds import Kind, Status
 from pgccd.contacts.padded import PaddedCollidingPairs, PaddedContacts
@@ -20,6 +21,7 @@ from pgccd.resolution.resolve import resolve
 from pgccd.resolution.results import PaddedResolution, Resolution
 from pgccd.resolution.trajectories import TrajectoryResolution
 from pgccd.search import broad, narrow, traverse
+from pgccd.search.approaching import approaching
 from pgccd.search.bodies import MovingBodies
 from pgccd.search.captured import CapturedDetection
 from pgccd.search.detect import detect
@@ -66,6 +68,8 @@ __all__ = [
     "TrajectoryResolution",
     "VertexMotion",
     "about",
+    "approach_rates",
+    "approaching",
     "audit",
     "baselines",
     "broad",

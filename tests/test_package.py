@@ -55,7 +55,7 @@ calls = {{
     **{{report: lambda r=report: pgccd.detect(scene, motion, r) for report in ("any", "first", "all", "earliest")}},
     "trajectory": lambda: pgccd.detect(scene, path),
     "capacity": lambda: pgccd.detect(scene, motion, capacity=pgccd.Capacity.of(9)).trim(),
-    "approaching": lambda: pgccd.detect(scene, motion, normals="surface").approaching().approach,
+    "approaching": lambda: pgccd.approaching(scene, motion, pgccd.detect(scene, motion, normals="surface")),
     "gradients": lambda: pgccd.detect(scene, wanting).toi.sum().backward(),
     "captured": lambda: pgccd.CapturedDetection(scene, motion, capacity=pgccd.Capacity.of(9))(motion),
     "resolve": lambda: pgccd.resolve(scene, motion),

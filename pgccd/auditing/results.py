@@ -29,9 +29,8 @@ class Passages(TrajectoryContacts):
         >>> deep = passages[passages.measure > 0.01]
     """
 
-    # With defaults, so that they take the place of the property of contacts.
-    approach: Tensor = None  # type: ignore[assignment]
-    measure: Tensor = None  # type: ignore[assignment]
+    approach: Tensor
+    measure: Tensor
 
     _names: ClassVar[tuple[str, ...]] = (*TrajectoryContacts._names, "approach", "measure")
 

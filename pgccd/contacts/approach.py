@@ -9,14 +9,14 @@ to pass through. See docs/explanation/exactness.md, section 15.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
 
 from pgccd import arguments
+from pgccd.contacts.contacts import Contacts
 from pgccd.contacts.gradients import corner_points
 from pgccd.contacts.kinds import FACE, Kind, Status
 from pgccd.contacts.normals import surface_normals
@@ -25,11 +25,11 @@ from pgccd.geometry.incidence import Lists
 from pgccd.geometry.scene import Scene
 from pgccd.motion.differentiable import with_gradient_of
 from pgccd.motion.paths import RigidMotion, VertexMotion
+from pgccd.motion.trajectory import Trajectory
 from pgccd.motion.vectors import cross, dot, norm, unit_or_zero
+from pgccd.search.bodies import MovingBodies
 from pgccd.search.checks import RELATIVE_TOLERANCE
-
-if TYPE_CHECKING:
-    from pgccd.contacts.contacts import Contacts
+from pgccd.search.trajectories import TrajectoryContacts, segments_as_step
 
 # Windows of the rest of the step for bodies that turn.
 _WINDOWS = 16
@@ -43,86 +43,100 @@ _SLIDING = 2.0**-36
 _PARALLEL = 1e-5
 
 
-@dataclass
-class Cause:
-    """What contacts were found with.
+def approach_rates(scene: Scene, motion: RigidMotion | VertexMotion | Trajectory, hits: Contacts) -> Tensor:
+    """The rate at which the gap between the nearest points of contacts closes at toi, along `normal`, in the scene's
+    length units per step (of a trajectory, per segment); divided by the duration of the step it is the normal approach
+    velocity. Negative: they recede. 0: they rest or slide. Has gradients if toi has.
 
-    Attributes:
-        scene, motion: with gradients, if there are any; of a trajectory one body for each segment.
-        tolerance: of the detection; None: the default.
-        is_first: each pair has one contact, the first.
-        again: the contacts that approach, of each of the pairs (P, 2) int64 given, sorted, the first, within a length
-            `slack` or None; only if `is_first`.
-        versions: torch's counters of writes to the columns of the motion.
+    Where features touch exactly, their normal may point to the wrong side on bodies that are not convex, unless
+    `detect` was given normals="surface". If toi > 0 the rate is positive nevertheless: they were apart before. At t = 0
+    it has the sign that the normal gives; `pgccd.approaching` does not depend on it.
+
+    Args:
+        scene, motion: with which `detect` found the contacts, unchanged.
+        hits: K contacts, on the scene's device.
+
+    Returns:
+        (K,) float64. Synchronises with a GPU.
+
+    Raises:
+        TypeError, ValueError: naming the argument; also if the contacts are those of one of several ranks.
+
+    Example:
+        >>> speed = pgccd.approach_rates(scene, motion, hits).clamp(min=0.0) / dt
     """
+    copies, steps, bodies = moving_bodies(scene, motion, hits)
+    with torch.no_grad():
+        sites = Sites.of(hits, copies._detached(), steps._detached(), bodies)
+        normal = hits.normal.detach().cpu()
+        rate = -dot(normal, sites.velocity())
+        is_reversed = sites.is_reversed(normal) & (sites.kind <= Kind.EE)
+        rate = torch.where(is_reversed, -rate, rate).to(bodies.device)
+    if hits._differentiable is None:
+        return rate
+    _, velocity = corner_points(copies, steps, bodies, hits.kind, hits.features, hits.toi)
+    speed = _weighted(hits, velocity)
+    expression = -(hits.normal * (speed[:, 1] - speed[:, 0])).sum(1)  # its bits depend on the device
+    expression = torch.where(is_reversed.to(bodies.device), -expression, expression)
+    return with_gradient_of(rate, torch.where(hits.differentiable, expression, 0.0), "approach")
 
-    scene: Scene
-    motion: RigidMotion | VertexMotion
-    tolerance: float | None
-    is_first: bool
-    again: Callable[[Tensor, float | None], Contacts]
-    versions: list[int]
 
-    def __getstate__(self) -> dict[str, Any]:
-        """Copies of the motion count writes anew."""
-        return {**vars(self), "versions": None if versions_of(self.motion) == self.versions else self.versions}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        if state["versions"] is None:
-            self.__dict__["versions"] = versions_of(self.motion)
-
-    def require_unchanged(self) -> None:
-        """Raises RuntimeError if the motion has been written to since."""
-        if versions_of(self.motion) != self.versions:
-            raise RuntimeError(
-                "motion: was written after `detect`, but the approach of contacts is computed from it: ask for it "
-                "before, or give `detect` copies"
-            )
-
-    def rate(self, contacts: Contacts, bodies: Tensor) -> Tensor:
-        """`Contacts.approach` (K,), of rows (K, 2) of the motion."""
-        self.require_unchanged()
-        with torch.no_grad():
-            sites = Sites.of(contacts, self.scene._detached(), self.motion._detached(), bodies)
-            normal = contacts.normal.detach().cpu()
-            rate = -dot(normal, sites.velocity())
-            is_reversed = sites.is_reversed(normal) & (sites.kind <= Kind.EE)
-            rate = torch.where(is_reversed, -rate, rate).to(bodies.device)
-        if contacts._differentiable is None:
-            return rate
-        expression = self._expression(contacts, bodies)
-        expression = torch.where(is_reversed.to(bodies.device), -expression, expression)
-        return with_gradient_of(rate, torch.where(contacts.differentiable, expression, 0.0), "approach")
-
-    def _expression(self, contacts: Contacts, bodies: Tensor) -> Tensor:
-        """(K,): the rate of contacts of vertices with faces and of edges, with gradients; bits depend on the device."""
-        _, velocity = corner_points(self.scene, self.motion, bodies, contacts.kind, contacts.features, contacts.toi)
-        speed = _weighted(contacts, velocity)
-        return -(contacts.normal * (speed[:, 1] - speed[:, 0])).sum(1)
-
-    def recedes(self, contacts: Contacts, bodies: Tensor, slack: float | None) -> Tensor:
-        """(K,) bool: contacts whose features, and the surfaces around them, certainly come closer by at most `slack` in
-        the rest of the step. Synchronises.
-        """
-        self.require_unchanged()
-        slack = self.tolerance if slack is None else arguments.length(slack, "slack")
-        with torch.no_grad():
-            scene, motion = self.scene._detached(), self.motion._detached()
-            sites = Sites.of(contacts, scene, motion, bodies)
-            columns = (contacts.normal.detach(), contacts.status, self._slack(scene, bodies, slack))
-            return _recedes(sites, *(column.cpu() for column in columns)).to(bodies.device)
-
-    def _slack(self, scene: Scene, bodies: Tensor, slack: float | None) -> Tensor:
-        """(K,)"""
+def recede(
+    scene: Scene,
+    motion: RigidMotion | VertexMotion | Trajectory,
+    hits: Contacts,
+    slack: float | None,
+) -> Tensor:
+    """(K,) bool: contacts whose features, and the surfaces around them, certainly come closer by at most `slack` in the
+    rest of the step; None: 1e-6 of the smaller SBV radius. Synchronises.
+    """
+    copies, steps, bodies = moving_bodies(scene, motion, hits)
+    with torch.no_grad():
+        copies, steps = copies._detached(), steps._detached()
         if slack is None:
-            return RELATIVE_TOLERANCE * scene._current_radius()[bodies].amin(1)
-        return torch.full((len(bodies),), slack, dtype=torch.float64, device=bodies.device)
+            slacks = RELATIVE_TOLERANCE * copies._current_radius()[bodies].amin(1)
+        else:
+            slacks = torch.full((len(bodies),), slack, dtype=torch.float64, device=bodies.device)
+        sites = Sites.of(hits, copies, steps, bodies)
+        columns = (hits.normal.detach(), hits.status, slacks)
+        return _recedes(sites, *(column.cpu() for column in columns)).to(bodies.device)
 
 
-def versions_of(motion: RigidMotion | VertexMotion) -> list[int]:
-    """Torch's counters of writes to the columns of a motion."""
-    return [0 if column.is_inference() else column._version for column in (getattr(motion, n) for n in motion._names)]
+def moving_bodies(
+    scene: Scene, motion: RigidMotion | VertexMotion | Trajectory, hits: Contacts
+) -> tuple[Scene, RigidMotion | VertexMotion, Tensor]:
+    """The scene and the motion of contacts, of a trajectory with copies of all bodies for each segment; and the rows of
+    their bodies (K, 2).
+
+    Raises:
+        TypeError, ValueError: naming the argument that is not of these contacts.
+    """
+    if not isinstance(scene, Scene):
+        raise TypeError(f"scene: expected a pgccd.Scene, got {arguments.describe(scene)}")
+    if not isinstance(hits, Contacts):
+        raise TypeError(f"hits: expected pgccd.Contacts, got {arguments.describe(hits)}")
+    if hits._is_of_rank:
+        raise ValueError("hits: are the contacts of one of several ranks, which has not the paths of all partners")
+    if hits.toi.device != scene.device:
+        raise ValueError(f"hits: are on {hits.toi.device}, the scene on {scene.device}")
+    if len(hits) and int(hits.pairs.amax()) >= scene.body_count:
+        raise ValueError(f"hits: have body {int(hits.pairs.amax())}, the scene {scene.body_count} bodies")
+    if isinstance(motion, Trajectory) != isinstance(hits, TrajectoryContacts):
+        expected = "the trajectory" if isinstance(hits, TrajectoryContacts) else "the motion of the step"
+        raise TypeError(f"motion: expected {expected} of the contacts, got {arguments.describe(motion)}")
+    if isinstance(motion, Trajectory) and isinstance(hits, TrajectoryContacts):
+        copies, steps, _ = segments_as_step(scene, motion, None)
+        if len(hits) and int(hits.segment.amax()) >= motion.segment_count:
+            expected = f"{int(hits.segment.amax()) + 1} segments or more, as the contacts have"
+            raise ValueError(f"motion: expected {expected}, got {motion.segment_count}")
+        return copies, steps, hits.pairs + hits.segment[:, None] * scene.body_count
+    if not isinstance(motion, (RigidMotion, VertexMotion)):
+        kinds = "a pgccd.RigidMotion, VertexMotion or Trajectory"
+        raise TypeError(f"motion: expected {kinds}, got {arguments.describe(motion)}")
+    if motion.device != scene.device:
+        raise ValueError(f"motion: is on {motion.device}, the scene on {scene.device}")
+    MovingBodies.of(scene._detached(), motion._detached())  # raises if it is not of these bodies
+    return scene, motion, hits.pairs
 
 
 def _weighted(contacts: Contacts, velocity: Tensor) -> Tensor:

@@ -10,13 +10,11 @@ import torch
 from torch import Tensor
 
 from pgccd import arguments
-from pgccd.contacts.approaching import WithApproach
 from pgccd.contacts.by_body import By, any_contact, first_time, owners
 from pgccd.ops import ContactRows
 from pgccd.search.sizes import Capacity
 
 if TYPE_CHECKING:
-    from pgccd.contacts.approach import Cause
     from pgccd.geometry.scene import Scene
 
 
@@ -38,6 +36,11 @@ _FORMS: dict[str, tuple[torch.dtype, tuple[int, ...]]] = {
 }
 # What else contacts have, and pairs do not.
 _OF_CONTACTS = ("first_toi", "starts_intersecting", "earliest", "approach", "approaching", "segment", "time")
+# What contacts had in 0.1.0.
+_FUNCTIONS = {
+    "approach": "pgccd.approach_rates(scene, motion, hits)",
+    "approaching": "pgccd.approaching(scene, motion, hits)",
+}
 #: Names of the columns of contacts, in the operators' order.
 COLUMNS = ("pairs", "kind", "features", "status", "toi", "coordinates", "point", "normal")
 
@@ -413,7 +416,7 @@ class CollidingPairs(WithoutTimes, CountedRows):
 
 
 @dataclass(eq=False, kw_only=True, repr=False)
-class Contacts(WithApproach, ContactColumns, CountedRows):
+class Contacts(ContactColumns, CountedRows):
     """K contacts, sorted by pair, then kind and features. Equal (`==`) if all columns are, bit by bit. Points and
     normals are in the world frame, lengths in the scene's units.
 
@@ -445,8 +448,15 @@ class Contacts(WithApproach, ContactColumns, CountedRows):
 
     # See `differentiable`; None if no input required grad.
     _differentiable: Tensor | None = field(default=None, repr=False, compare=False)
-    # What they were found with; None for those of ranks, of a capacity, or from a state_dict.
-    _cause: Cause | None = field(default=None, repr=False, compare=False)
+    # The options of `detect` that found them; None of those of ranks, of a capacity, or from a state_dict.
+    _found_with: dict[str, Any] | None = field(default=None, repr=False, compare=False)
+
+    if not TYPE_CHECKING:  # which would accept every name
+
+        def __getattr__(self, name: str) -> NoReturn:
+            if name in _FUNCTIONS:
+                raise AttributeError(f"{type(self).__name__} has no {name!r} any more: call {_FUNCTIONS[name]}")
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
 
     @property
     def differentiable(self) -> Tensor:
@@ -488,11 +498,6 @@ class Contacts(WithApproach, ContactColumns, CountedRows):
     def _order(self) -> tuple[Tensor, ...]:
         """Columns by which contacts are early."""
         return (self.toi,)
-
-    @property
-    def _moving_bodies(self) -> Tensor:
-        """(K, 2): rows of the motion that they were found with."""
-        return self.pairs
 
     def _map(self, change: Callable[[Tensor], Tensor]) -> Self:
         changed = super()._map(change)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -101,16 +101,6 @@ class PaddedContacts(ContactColumns, PaddedRows):
         lost = torch.cat(overflow_flags(self.counts)).any()
         found = self._first_time(self._found_toi, by, lost)
         return found.masked_fill(self._in_invalid_worlds(self._reach, by), 0.0)
-
-    if not TYPE_CHECKING:  # which would accept every name
-
-        def __getattr__(self, name: str) -> NoReturn:
-            if name in ("approach", "approaching"):
-                raise AttributeError(
-                    f"{type(self).__name__} has no {name!r}, which would have to wait for the host: call `detect` "
-                    "without a capacity"
-                )
-            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
 
     def trim(self) -> Contacts:
         """The contacts without padding, with stats. Synchronises.

@@ -2,14 +2,12 @@
 
 import time
 from functools import partial
-from typing import Any, Literal, TypedDict, Unpack, overload
+from typing import Literal, TypedDict, Unpack, overload
 
-import torch
 from torch import Tensor
 
 from pgccd import arguments, ops
-from pgccd.contacts.approach import Cause, versions_of
-from pgccd.contacts.contacts import CollidingPairs, Contacts, earliest_of_each
+from pgccd.contacts.contacts import CollidingPairs, Contacts
 from pgccd.contacts.gradients import add_gradients
 from pgccd.contacts.normals import NORMALS, Normals, surface_normals
 from pgccd.contacts.padded import PaddedCollidingPairs, PaddedContacts
@@ -279,20 +277,9 @@ def detect(
     elif normals == "surface":
         sites = Sites.of(found, scene, motion, found.pairs)
         found.normal = surface_normals(sites, found.normal.cpu()).to(scene.device)
-    options = {"tolerance": tolerance, "nonzero_toi": nonzero_toi, "initial": initial, "normals": normals}
-    again = partial(_approaching, *given, min_separation=min_separation, memory_budget=memory_budget, **options)
-    found._cause = Cause(*given, tolerance, report == "first", again, versions_of(motion))
+    found._found_with = {"report": report, "min_separation": min_separation, "tolerance": tolerance}
+    found._found_with |= {"nonzero_toi": nonzero_toi, "initial": initial, "normals": normals}
     return found
-
-
-def _approaching(
-    scene: Scene, motion: RigidMotion | VertexMotion, pairs: Tensor, slack: float | None, **options: Any
-) -> Contacts:
-    """The first contacts that approach of some pairs (P, 2), see `Cause.again`."""
-    found: Contacts = detect(scene, motion, "all", pairs=pairs, **options)
-    found = found.approaching(slack)
-    _, owner = torch.unique(found.pairs, dim=0, return_inverse=True)
-    return found[earliest_of_each(owner, len(found), found.toi)]
 
 
 def detect_moving(

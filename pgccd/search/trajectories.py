@@ -1,7 +1,6 @@
 """Detection along a trajectory: all segments in one call."""
 
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any, ClassVar, Protocol
 
 import torch
@@ -44,11 +43,6 @@ class TrajectoryContacts(Contacts):
     @property
     def _order(self) -> tuple[Tensor, ...]:
         return self.segment, self.toi
-
-    @property
-    def _moving_bodies(self) -> Tensor:
-        assert self.scene is not None
-        return self.pairs + self.segment[:, None] * self.scene.body_count
 
     def first_toi(self, by: By = "scene") -> Tensor:
         """The first `time` along the whole trajectory: in [0, 1], float64, inf without a contact.
@@ -157,7 +151,6 @@ def _of_trajectory(found: Contacts, scene: Scene, segments: int, report: narrow.
     if columns["toi"].requires_grad:
         time = with_gradient_of(time, columns["toi"] / segments, "time")
     stats = replace(found.stats, bodies=count, needed=None, contacts=len(segment))
-    again = partial(_approaching, found, scene, segments)
     return TrajectoryContacts(
         **columns,
         stats=stats,
@@ -166,18 +159,8 @@ def _of_trajectory(found: Contacts, scene: Scene, segments: int, report: narrow.
         scene=scene,
         _is_earliest=report == "earliest",
         _differentiable=None if found._differentiable is None else found._differentiable[chosen],
-        _cause=None if found._cause is None else replace(found._cause, again=again),
+        _found_with=None if found._found_with is None else found._found_with | {"report": report},
     )
-
-
-def _approaching(
-    found: Contacts, scene: Scene, segments: int, pairs: Tensor, slack: float | None
-) -> TrajectoryContacts:
-    """The first contacts that approach of some pairs (P, 2), from those of all segments, see `Cause.again`."""
-    count = scene.body_count
-    _, of_scene = in_scene(found.pairs, count)
-    keys, wanted = (each[:, 0] * count + each[:, 1] for each in (of_scene, pairs))
-    return _of_trajectory(found[torch.isin(keys, wanted)].approaching(slack), scene, segments, "first")
 
 
 def time_along(segment: Tensor, toi: Tensor, segments: int) -> Tensor:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import weakref
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -31,13 +33,13 @@ def test_a_wall_of_the_floor_that_a_body_rests_on(
     for report, options in (("first", {}), ("first", {"normals": "surface", "nonzero_toi": True}), ("all", {})):
         hits = pgccd.detect(scene, motion, report, separation, **options)  # type: ignore[call-overload]
         assert gap == 1e-9 or "normals" in options or float(hits.first_toi()) == 0.0
-        ahead = hits.approaching()
+        ahead = pgccd.approaching(scene, motion, hits)
         assert abs(float(ahead.first_toi()) - (4.0 - separation) / 8.0) < 1e-6
         assert ahead.stats.contacts == len(ahead) <= len(hits)
         first = ahead.earliest()
-        assert float(first.approach) == pytest.approx(8.0, abs=1e-6)
+        assert float(pgccd.approach_rates(scene, motion, first)) == pytest.approx(8.0, abs=1e-6)
         if report == "first":
-            assert ahead.pairs.tolist() == [[0, 1]] and ahead == ahead.approaching()
+            assert ahead.pairs.tolist() == [[0, 1]] and ahead == pgccd.approaching(scene, motion, ahead)
         if "normals" in options:
             assert (first.normal.cpu() == torch.tensor([1.0, 0, 0]).double()).all()
 
@@ -48,13 +50,14 @@ def test_only_the_pairs_that_rest_are_searched_again(device: torch.device) -> No
     x = torch.tensor([[0.0, 0, 0.5], [0, 0, 0], [-3, 3, 2.0], [-3, -3, 0.5], [0, 5, 0.5]], device=device).double()
     v = torch.tensor([[8.0, 0, 0], [0, 0, 0], [0, 0, -2.0], [0.2, 0, 0], [0, 0, 1.0]], device=device).double()
     q = torch.tensor([UPRIGHT] * 5, device=device).double()
-    hits = pgccd.detect(scene, pgccd.RigidMotion.from_velocity(x, q, v, torch.zeros_like(x), 1.0))
+    motion = pgccd.RigidMotion.from_velocity(x, q, v, torch.zeros_like(x), 1.0)
+    hits = pgccd.detect(scene, motion)
     assert hits.pairs.tolist() == [[0, 1], [1, 2], [1, 3], [1, 4]]
-    ahead = hits.approaching()
+    ahead = pgccd.approaching(scene, motion, hits)
     assert ahead.pairs.tolist() == [[0, 1], [1, 2]]
     assert ahead.toi.tolist() == pytest.approx([0.5, 0.75], abs=1e-6)
     assert ahead[1:] == hits[1:2]
-    assert hits[2:].approaching().pairs.tolist() == []
+    assert pgccd.approaching(scene, motion, hits[2:]).pairs.tolist() == []
     assert ahead.first_toi("body").tolist()[2:] == [pytest.approx(0.75, abs=1e-6), math.inf, math.inf]
 
 
@@ -67,12 +70,12 @@ def test_along_a_trajectory(device: torch.device) -> None:
     trajectory = pgccd.Trajectory(x.to(device), q.to(device))
     hits = pgccd.detect(scene, trajectory)
     assert float(hits.first_toi()) == 0.0
-    ahead = hits.approaching()
+    ahead = pgccd.approaching(scene, trajectory, hits)
     assert isinstance(ahead, pgccd.TrajectoryContacts)
     assert ahead.segment.tolist() == [1] and float(ahead.toi[0]) == pytest.approx(0.5, abs=1e-6)
     assert float(ahead.first_toi()) == pytest.approx(0.5, abs=1e-6)
-    assert ahead.approach.tolist() == pytest.approx([4.0])
-    every = pgccd.detect(scene, trajectory, "all").approaching()
+    assert pgccd.approach_rates(scene, trajectory, ahead).tolist() == pytest.approx([4.0])
+    every = pgccd.approaching(scene, trajectory, pgccd.detect(scene, trajectory, "all"))
     assert set(every.segment.tolist()) == {1, 2} and every.first_toi() == ahead.first_toi()
 
 
@@ -134,7 +137,7 @@ def test_nothing_that_approaches_is_left_out(seed: int) -> None:
     slack = 1e-6 * float(scene.meshes.radius[0])
     for report in ("first", "all"):
         hits = pgccd.detect(scene, motion, report)  # type: ignore[call-overload]
-        ahead = hits.approaching()
+        ahead = pgccd.approaching(scene, motion, hits)
         until = ahead.first_toi("body")[::2]
         before = times[:, None] <= until
         assert torch.where(before, gap, 1.0).min() > -2.0 * slack
@@ -168,12 +171,12 @@ def test_what_comes_back_later_is_kept(device: torch.device) -> None:
     """A tip that recedes at first, comes round in a circle, and is 0.3 lower then; its row is at t = 0."""
     scene, motion = pendulum(0.1, 2 * math.pi, -0.3, device)
     hits = pgccd.detect(scene, motion)
-    assert hits.toi.tolist() == [0.0] and float(hits.approach) < -0.2
-    assert hits.approaching().toi.tolist() == [0.0]
+    assert hits.toi.tolist() == [0.0] and float(pgccd.approach_rates(scene, motion, hits)) < -0.2
+    assert pgccd.approaching(scene, motion, hits).toi.tolist() == [0.0]
     # As high as it was, it is left out.
     scene, motion = pendulum(0.1, 0.5, 0.0, device)
     hits = pgccd.detect(scene, motion)
-    assert hits.toi.tolist() == [0.0] and len(hits.approaching()) == 0
+    assert hits.toi.tolist() == [0.0] and len(pgccd.approaching(scene, motion, hits)) == 0
 
 
 def test_curved_paths_whose_rate_is_zero(device: torch.device) -> None:
@@ -181,14 +184,16 @@ def test_curved_paths_whose_rate_is_zero(device: torch.device) -> None:
     for rate, count in ((1.0, 0), (-1.0, 1)):
         scene, motion = pendulum(0.0, rate, 0.0, device)
         hits = pgccd.detect(scene, motion)
-        assert hits.toi.tolist() == [0.0] and hits.approach.tolist() == pytest.approx([0.0], abs=1e-12)
-        assert len(hits.approaching()) == count
+        assert hits.toi.tolist() == [0.0] and pgccd.approach_rates(scene, motion, hits).tolist() == pytest.approx(
+            [0.0], abs=1e-12
+        )
+        assert len(pgccd.approaching(scene, motion, hits)) == count
 
 
 def test_what_passes_between_the_ends_of_windows(device: torch.device) -> None:
     """Sixteen turns: after each the tip is where it was, and in between it is below the sheet."""
     scene, motion = pendulum(0.0, -32 * math.pi, 0.0, device)
-    assert pgccd.detect(scene, motion).approaching().toi.tolist() == [0.0]
+    assert pgccd.approaching(scene, motion, pgccd.detect(scene, motion)).toi.tolist() == [0.0]
 
 
 def test_the_slack_on_curved_paths(device: torch.device) -> None:
@@ -198,7 +203,10 @@ def test_the_slack_on_curved_paths(device: torch.device) -> None:
     hits = pgccd.detect(scene, motion)
     depth = 1.0 - math.cos(angle)
     assert hits.toi.tolist() == [0.0]
-    assert len(hits.approaching(depth - 1e-5)) == 1 and len(hits.approaching(depth + 1e-5)) == 0
+    assert (
+        len(pgccd.approaching(scene, motion, hits, depth - 1e-5)) == 1
+        and len(pgccd.approaching(scene, motion, hits, depth + 1e-5)) == 0
+    )
 
 
 def test_flat_surfaces_that_pass_through_one_another() -> None:
@@ -209,25 +217,31 @@ def test_flat_surfaces_that_pass_through_one_another() -> None:
             scene, motion = sliding("rigid", meshes, (0.1, 0.2, -1e-4 * travel), (0.1, 0, travel))
             hits = pgccd.detect(scene, motion)
             assert len(hits) == 1 and float(hits.toi) > 0.0
-            assert len(hits.approaching()) == 1
+            assert len(pgccd.approaching(scene, motion, hits)) == 1
         # Apart at toi by less than the slack: in the opposite direction they stay that near.
         scene, motion = sliding("rigid", meshes, (0.1, 0.2, 1e-6), (0.1, 0, -1e-3))
         hits = pgccd.detect(scene, motion, min_separation=2e-6)
-        assert hits.toi.tolist() == [0.0] and len(hits.approaching(1e-5)) == 1
+        assert hits.toi.tolist() == [0.0] and len(pgccd.approaching(scene, motion, hits, 1e-5)) == 1
 
 
 def test_the_slack(device: torch.device) -> None:
     for gap in (0.4, 0.0):
         scene, motion = sliding("rigid", [CUBE, FLOOR], (0, 0, 0.5 + gap), (1.0, 0, -1e-3), device)
         hits = pgccd.detect(scene, motion, min_separation=2.0 * gap)
-        assert len(hits.approaching((1.0 + 1e-6) * 1e-3)) == 0 and len(hits.approaching((1.0 - 1e-6) * 1e-3)) == 1
-    assert len(pgccd.detect(scene, motion, tolerance=1.01e-3).approaching()) == 0
+        assert (
+            len(pgccd.approaching(scene, motion, hits, (1.0 + 1e-6) * 1e-3)) == 0
+            and len(pgccd.approaching(scene, motion, hits, (1.0 - 1e-6) * 1e-3)) == 1
+        )
+    assert len(pgccd.approaching(scene, motion, pgccd.detect(scene, motion, tolerance=1.01e-3))) == 0
     # Nothing is certain to the last bit.
     scene, motion = sliding("rigid", [CUBE, FLOOR], (0, 0, 0.5), (1.0, 0, 0.0), device)
     hits = pgccd.detect(scene, motion)
-    assert len(hits.approaching(0.0)) == 1 and len(hits.approaching(1e-11)) == 0
+    assert (
+        len(pgccd.approaching(scene, motion, hits, 0.0)) == 1
+        and len(pgccd.approaching(scene, motion, hits, 1e-11)) == 0
+    )
     with pytest.raises(ValueError, match="slack: expected"):
-        hits.approaching(-1.0)
+        pgccd.approaching(scene, motion, hits, -1.0)
 
 
 def test_from_where_a_sheet_is_left() -> None:
@@ -237,7 +251,7 @@ def test_from_where_a_sheet_is_left() -> None:
             for travel in (1.0, -1.0):
                 floor = sheet(4, 3.0, turned_over)
                 scene, motion = sliding("rigid", [CUBE, floor], (0.1, 0.2, z), (0.3, 0, travel))
-                count = len(pgccd.detect(scene, motion).approaching())
+                count = len(pgccd.approaching(scene, motion, pgccd.detect(scene, motion)))
                 assert count == (travel * z < 0.0), (turned_over, z, travel)
 
 
@@ -246,8 +260,8 @@ def test_rates_of_vertices_and_edges(kind: Kind, device: torch.device) -> None:
     for start, travel, rate in (((0, 0, 0.7), (0.3, 0.1, -0.5), 0.5), ((1.6, 0.2, -0.3), (-2.0, 0.3, 0), 2.0)):
         scene, motion = sliding(kind, [CUBE, box((1.0, 1.0, 1.0), (0, 0, -1))], start, travel, device)  # type: ignore[arg-type]
         hits = pgccd.detect(scene, motion, "all")
-        assert len(hits) and hits.approach.cpu().max() == pytest.approx(rate, abs=1e-12)
-        assert hits.approach.dtype == torch.float64
+        assert len(hits) and pgccd.approach_rates(scene, motion, hits).cpu().max() == pytest.approx(rate, abs=1e-12)
+        assert pgccd.approach_rates(scene, motion, hits).dtype == torch.float64
 
 
 def test_rates_of_a_body_that_turns(device: torch.device) -> None:
@@ -257,8 +271,11 @@ def test_rates_of_a_body_that_turns(device: torch.device) -> None:
     x = torch.tensor([[0.0, 0, 0.5], [0, 0, 0]], device=device).double()
     q = torch.tensor([UPRIGHT] * 2, device=device).double()
     w = torch.tensor([[0.0, 0.7, 0], [0, 0, 0]], device=device).double()
-    hits = pgccd.detect(scene, pgccd.RigidMotion.from_velocity(x, q, torch.zeros_like(x), w, 1.0))
-    assert hits.approach.tolist() == pytest.approx([0.7 * 2.0 * math.cos(math.asin(0.25))], rel=1e-6)
+    motion = pgccd.RigidMotion.from_velocity(x, q, torch.zeros_like(x), w, 1.0)
+    hits = pgccd.detect(scene, motion)
+    assert pgccd.approach_rates(scene, motion, hits).tolist() == pytest.approx(
+        [0.7 * 2.0 * math.cos(math.asin(0.25))], rel=1e-6
+    )
 
 
 def test_rates_are_those_of_the_distance() -> None:
@@ -284,7 +301,7 @@ def test_rates_are_those_of_the_distance() -> None:
     position, orientation = motion[hits.pairs.flatten()].at(times)
     corners = mesh.vertices @ _matrices(orientation).transpose(2, 3) + position[:, :, None]
     before, after = _distances(mesh, hits, corners.view(2, len(hits), 2, -1, 3))
-    torch.testing.assert_close(hits.approach, (before - after) / 2e-5, rtol=1e-4, atol=1e-4)
+    torch.testing.assert_close(pgccd.approach_rates(scene, motion, hits), (before - after) / 2e-5, rtol=1e-4, atol=1e-4)
     assert all(int((hits.kind == kind).sum()) > 10 for kind in (pgccd.Kind.VF_AB, pgccd.Kind.VF_BA, pgccd.Kind.EE))
 
 
@@ -313,14 +330,15 @@ def test_rates_have_gradients(device: torch.device) -> None:
     q = torch.tensor([UPRIGHT, (0.8, 0.6, 0.0, 0.0)], device=device).double()
 
     def rate(v: Tensor, w: Tensor) -> Tensor:
-        hits = pgccd.detect(scene, pgccd.RigidMotion.from_velocity(x, q, v, w, 1.0), tolerance=1e-12)
-        return hits.approach
+        motion = pgccd.RigidMotion.from_velocity(x, q, v, w, 1.0)
+        return pgccd.approach_rates(scene, motion, pgccd.detect(scene, motion, tolerance=1e-12))
 
     v = torch.tensor([[0.1, 0.2, -2.0], [0, 0, 0.3]], device=device).double().requires_grad_()
     w = torch.tensor([[0.3, 0.2, 0.1], [0.2, -0.3, 0.3]], device=device).double().requires_grad_()
     assert len(rate(v, w)) == 1
     assert torch.autograd.gradcheck(rate, (v, w), eps=1e-4, atol=1e-5, nondet_tol=0.0)
-    hits = pgccd.detect(scene, pgccd.RigidMotion.from_velocity(x, q, v, w, 1.0)).approaching()
+    motion = pgccd.RigidMotion.from_velocity(x, q, v, w, 1.0)
+    hits = pgccd.approaching(scene, motion, pgccd.detect(scene, motion))
     assert hits.differentiable.tolist() == [True] and hits.toi.requires_grad
 
 
@@ -330,7 +348,7 @@ def test_gradients_of_contacts_behind_a_resting_one(device: torch.device) -> Non
     assert isinstance(motion, pgccd.RigidMotion)
     end = motion.position_t1.clone().requires_grad_()
     path = pgccd.RigidMotion.from_rotation(motion.position_t0, motion.orientation_t0, end, motion.rotation)
-    pgccd.detect(scene, path).approaching().first_toi().backward()
+    pgccd.approaching(scene, path, pgccd.detect(scene, path)).first_toi().backward()
     assert end.grad is not None and float(end.grad[0, 0]) == pytest.approx(-4.0 / 64.0, rel=1e-6)
 
 
@@ -338,18 +356,18 @@ def test_intersections_stay_in(device: torch.device) -> None:
     """Whatever the slack."""
     scene, motion = sliding("rigid", [CUBE, FLOOR], (0, 0, 0.4), (0, 0, 0.2), device)
     hits = pgccd.detect(scene, motion)
-    assert len(hits.approaching()) == 1
+    assert len(pgccd.approaching(scene, motion, hits)) == 1
     hits = pgccd.detect(scene, motion, "all")
     is_crossing = hits.kind >= pgccd.Kind.EF_AB
-    assert hits.approach.isfinite().all() and is_crossing.any() and not is_crossing.all()
-    assert hits.approaching(10.0) == hits[is_crossing]
+    assert pgccd.approach_rates(scene, motion, hits).isfinite().all() and is_crossing.any() and not is_crossing.all()
+    assert pgccd.approaching(scene, motion, hits, 10.0) == hits[is_crossing]
 
 
 def test_what_is_unresolved_stays_in(device: torch.device) -> None:
     scene, motion = sliding("rigid", [CUBE, FLOOR], (0, 0, 0.5), (0, 0, 0.2), device)
     hits = pgccd.detect(scene, motion, "all")
     hits.status[1::2] = pgccd.Status.UNRESOLVED
-    assert len(hits) > 2 and hits.approaching(10.0) == hits[1::2]
+    assert len(hits) > 2 and pgccd.approaching(scene, motion, hits, 10.0) == hits[1::2]
 
 
 def test_refusals() -> None:
@@ -357,40 +375,67 @@ def test_refusals() -> None:
     assert isinstance(motion, pgccd.RigidMotion)
     hits = pgccd.detect(scene, motion)
     with pytest.raises(ValueError, match=r'report: "earliest" leaves out'):
-        pgccd.detect(scene, motion, "earliest").approaching()
+        pgccd.approaching(scene, motion, pgccd.detect(scene, motion, "earliest"))
+    rates = pgccd.approach_rates(scene, motion, hits)
     without: list[Any] = [pgccd.Contacts.from_state_dict(hits.state_dict(), scene)]
     without.append(pgccd.detect(scene, motion, capacity=Capacity.of(4, 100)).trim())
     for contacts in without:
-        for ask in (lambda c: c.approach, lambda c: c.approaching()):
-            with pytest.raises(ValueError, match="hits: the approach of contacts is known of those"):
-                ask(contacts)
+        assert torch.equal(pgccd.approach_rates(scene, motion, contacts), rates)
+        with pytest.raises(ValueError, match="^hits: were not found by `detect` without a capacity"):
+            pgccd.approaching(scene, motion, contacts)
     in_capacity: Any = pgccd.detect(scene, motion, capacity=Capacity.of(4, 100))
-    for padded in (in_capacity, pgccd.CapturedDetection(scene, motion).replay()):
-        for name in ("approach", "approaching"):
-            with pytest.raises(
-                AttributeError, match=f"PaddedContacts has no '{name}', .*: call `detect` without a cap"
-            ):
-                getattr(padded, name)
-        with pytest.raises(AttributeError, match="'PaddedContacts' object has no attribute 'nothing'"):
-            _ = padded.nothing
+    ways: list[Any] = [pgccd.approach_rates, pgccd.approaching]
+    for ask in ways:
+        for padded in (
+            in_capacity,
+            pgccd.CapturedDetection(scene, motion).replay(),
+            pgccd.detect(scene, motion, "any"),
+        ):
+            with pytest.raises(TypeError, match="^hits: expected pgccd.Contacts, got "):
+                ask(scene, motion, padded)
+        for wrong, named in (
+            ((None, motion, hits), "scene: expected a pgccd.Scene"),
+            ((scene, 3, hits), "motion: expected the motion of the step|motion: expected a pgccd.RigidMotion"),
+            (
+                (scene, pgccd.Trajectory(torch.zeros(2, 2, 3), torch.tensor(UPRIGHT).expand(2, 2, 4)), hits),
+                "motion: exp",
+            ),
+        ):
+            with pytest.raises(TypeError, match=f"^({named})"):
+                ask(*wrong)
+        with pytest.raises(ValueError, match="^hits: have body 1, the scene 1 bodies"):
+            ask(pgccd.Scene([CUBE]), motion, hits)
+        with pytest.raises(ValueError, match="^motion: has 1 bodies, the scene 2"):
+            ask(scene, motion[:1], hits)
     with pytest.raises(ValueError, match="^normals: captured steps have those of the \"features\", got 'surface'"):
         pgccd.CapturedDetection(scene, motion, normals="surface")
     with pytest.raises(TypeError, match="^colour: expected one of "):
         pgccd.CapturedDetection(scene, motion, colour=1)  # type: ignore[call-overload]
-    room = pgccd.distributed.World.create([CUBE, FLOOR], (-9,) * 3, (9,) * 3, motion.position_t0, mesh_index=[0, 1])
-    of_ranks = room.step(motion)
-    assert len(of_ranks) == 1
-    for ask in (lambda c: c.approach, lambda c: c.approaching()):
-        with pytest.raises(ValueError, match="hits: the approach of contacts is .* not of contacts of ranks"):
-            ask(of_ranks)
+    of_rank = replace(hits, _is_of_rank=True)
+    for ask in ways:
+        with pytest.raises(ValueError, match="^hits: are the contacts of one of several ranks"):
+            ask(scene, motion, of_rank)
     with pytest.raises(TypeError, match="normals"):
         pgccd.distributed.World.create([CUBE], (-9,) * 3, (9,) * 3, motion.position_t0, normals="surface")  # type: ignore
     with pytest.raises(AttributeError, match='report: "any" gives pairs without contacts, and no `approach`'):
         _ = pgccd.detect(scene, motion, "any").approach  # type: ignore[attr-defined]
-    motion.position_t1[0, 0] += 1.0
-    for ask in (lambda c: c.approach, lambda c: c.approaching()):
-        with pytest.raises(RuntimeError, match="motion: was written after `detect`"):
-            ask(hits)
+    for name, function in (("approach", "approach_rates"), ("approaching", "approaching")):
+        with pytest.raises(AttributeError, match=rf"Contacts has no '{name}' any more: call pgccd.{function}\("):
+            getattr(hits, name)
+
+
+def test_contacts_keep_neither_scene_data_nor_motion() -> None:
+    """One contact of many bodies is small."""
+    count = 2_000
+    scene = pgccd.Scene([CUBE], [0] * count)
+    x = torch.zeros(count, 3, dtype=torch.float64)
+    x[:, 0] = 3.0 * torch.arange(count)
+    x[1] = x[0] + 0.5
+    motion = pgccd.RigidMotion.at_rest(x, torch.tensor([UPRIGHT] * count))
+    hits = pgccd.detect(scene, motion)
+    held = weakref.ref(motion)
+    del motion
+    assert len(hits) == 1 and held() is None
 
 
 @pytest.mark.cuda
@@ -400,7 +445,8 @@ def test_same_on_a_gpu() -> None:
     for device in ("cpu", "cuda"):
         columns = (motion.position_t0, motion.orientation_t0, motion.position_t1, motion.rotation)
         path = pgccd.RigidMotion.from_rotation(*(c.to(device) for c in columns))
-        found.append(pgccd.detect(scene.to(device), path).approaching().to("cpu"))
+        there = scene.to(device)
+        found.append(pgccd.approaching(there, path, pgccd.detect(there, path)).to("cpu"))
     assert len(found[0]) > 10 and found[0] == found[1]
 
 
@@ -443,7 +489,7 @@ def test_the_rate_of_edges_in_faces(kind: str, device: torch.device) -> None:
     else:
         velocity = v[hits.pairs] + (matrices[hits.pairs] @ arm[..., None])[..., 0] - arm
     expected = -(hits.normal * (velocity[:, 1] - velocity[:, 0])).sum(1)
-    assert torch.allclose(hits.approach, expected, rtol=0.0, atol=1e-9)
+    assert torch.allclose(pgccd.approach_rates(scene, motion, hits), expected, rtol=0.0, atol=1e-9)
 
 
 def matrices_of(quaternion: Tensor) -> Tensor:
@@ -459,6 +505,6 @@ def test_rates_have_the_same_bits_on_every_device(seed: int, device: torch.devic
     chosen = random_scene(seed)
     rates = []
     for each in (torch.device("cpu"), device):
-        hits = pgccd.detect(chosen.scene(each), chosen.motion(each), "all")
-        rates.append(hits.approach.cpu())
+        scene, motion = chosen.scene(each), chosen.motion(each)
+        rates.append(pgccd.approach_rates(scene, motion, pgccd.detect(scene, motion, "all")).cpu())
     assert torch.equal(*(bits(rate) for rate in rates))

@@ -298,17 +298,27 @@ def test_second_derivatives_of_all_entries_are_refused(device: torch.device) -> 
         x0 = wanting(START.to(device, dtype))
         ways = wanting(torch.stack([START, END]).to(device, dtype))
         margin, gap = (wanting(torch.full(size, 0.01, device=device, dtype=torch.float64)) for size in ((2,), ()))
-        hits = pgccd.detect(scene(device), pgccd.RigidMotion(x0, upright, end, upright))
-        along = pgccd.detect(scene(device), pgccd.Trajectory(ways, turns))
+        motion, path = pgccd.RigidMotion(x0, upright, end, upright), pgccd.Trajectory(ways, turns)
+        hits, along = pgccd.detect(scene(device), motion), pgccd.detect(scene(device), path)
         plain = pgccd.RigidMotion(START.to(device), upright, end, upright)
-        thick = pgccd.detect(scene(device, margin=margin), plain)
+        wide = scene(device, margin=margin)
+        thick = pgccd.detect(wide, plain)
         apart = pgccd.detect(scene(device), plain, min_separation=gap)
         of_face, of_edges = wanting(points.to(dtype)), wanting(crossing.to(dtype))
         face = pgccd.narrow.vertex_face(of_face, below.to(dtype))
         edges = pgccd.narrow.edge_edge(of_edges, across.to(dtype))
-        values = [(each, x0) for each in (hits.approach, hits.first_toi(), hits.first_toi("body"))]
-        values += [(each, ways) for each in (along.toi, along.time, along.point, along.approach, along.first_toi())]
-        values += [(thick.toi, margin), (thick.approach, margin), (apart.toi, gap), (apart.point, gap)]
+        values = [
+            (each, x0)
+            for each in (pgccd.approach_rates(scene(device), motion, hits), hits.first_toi(), hits.first_toi("body"))
+        ]
+        values += [(each, ways) for each in (along.toi, along.time, along.point, along.first_toi())]
+        values += [(pgccd.approach_rates(scene(device), path, along), ways)]
+        values += [
+            (thick.toi, margin),
+            (pgccd.approach_rates(wide, plain, thick), margin),
+            (apart.toi, gap),
+            (apart.point, gap),
+        ]
         values += [
             (face.toi, of_face),
             (face.coordinates, of_face),
@@ -329,7 +339,7 @@ def test_transforms_of_numbers_are_refused() -> None:
         "min_separation": lambda gap: pgccd.detect(scene(), plain, min_separation=gap).first_toi(),
         "tolerance": lambda gap: pgccd.detect(scene(), plain, tolerance=gap).first_toi(),  # type: ignore[call-overload]
         "dt": lambda dt: pgccd.RigidMotion.from_velocity(START, UPRIGHT, END, END, dt).position_t1,  # type: ignore[arg-type]
-        "slack": lambda gap: pgccd.detect(scene(), plain).approaching(gap).toi,  # type: ignore[arg-type]
+        "slack": lambda gap: pgccd.approaching(scene(), plain, pgccd.detect(scene(), plain), gap).toi,  # type: ignore[arg-type]
     }
     for name, call in calls.items():
         for transform in (torch.func.grad, torch.func.jacrev, torch.func.jacfwd, torch.func.hessian):
@@ -342,7 +352,7 @@ def test_transforms_of_numbers_are_refused() -> None:
     with pytest.raises(TypeError, match="^min_separation: "):
         torch.func.jacfwd(lambda gap: pgccd.narrow.vertex_face(points, points, gap).toi.sum())(torch.tensor(0.01))
     with pytest.raises(ValueError, match="^slack: requires grad"):
-        pgccd.detect(scene(), plain).approaching(wanting(torch.tensor(0.1)))  # type: ignore[arg-type]
+        pgccd.approaching(scene(), plain, pgccd.detect(scene(), plain), wanting(torch.tensor(0.1)))  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="^margin: requires grad"):
         pgccd.audit(scene(margin=wanting(torch.tensor([0.1, 0.1]))), [(START, UPRIGHT), (END, UPRIGHT)])
 

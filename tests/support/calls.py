@@ -86,7 +86,8 @@ def _detected(report: str, given: Given) -> Columns:
     hits = given.detect(report)
     columns = dict(hits.columns)
     if report in ("first", "all"):
-        columns |= {"approach": hits.approach, "starts_intersecting": hits.starts_intersecting}
+        rates = pgccd.approach_rates(given.bodies, given.motion, hits)
+        columns |= {"approach": rates, "starts_intersecting": hits.starts_intersecting}
         columns |= {f"first of {by}": hits.first_toi(by).reshape(-1) for by in ("scene", "world", "body")}
         columns |= {
             f"earliest by {by} {n}": c for by in ("scene", "world") for n, c in hits.earliest(by=by).columns.items()
@@ -101,8 +102,9 @@ def _of_surfaces(given: Given) -> Columns:
 
 
 def _approaching(given: Given) -> Columns:
-    hits = given.detect("first").approaching()
-    return _on_cpu(hits.columns | {"approach": hits.approach})
+    of_step = given.bodies, given.motion
+    hits = pgccd.approaching(*of_step, given.detect("first"))
+    return _on_cpu(hits.columns | {"approach": pgccd.approach_rates(*of_step, hits)})
 
 
 def _copied_results(given: Given) -> Columns:
@@ -198,7 +200,8 @@ def _gradients(given: Given) -> Columns:
     motion = replace(given.scene, poses=poses).motion(given.device)
     hits = pgccd.detect(bodies, motion, **(given.scene.arguments | {"report": "first"}))
     columns = {name: column.detach() for name, column in hits.columns.items()}
-    approach = hits.approach.detach()
+    rates = pgccd.approach_rates(bodies, motion, hits)
+    approach = rates.detach()
     columns["approach"] = approach
     if not len(hits):
         return _on_cpu(columns)
@@ -207,7 +210,7 @@ def _gradients(given: Given) -> Columns:
     generator = torch.Generator().manual_seed(given.scene.seed)
     loss = torch.zeros((), dtype=torch.float64, device=given.device)
     for name in ("toi", "point", "normal", "coordinates", "approach"):
-        column = getattr(hits, name).reshape(len(hits), -1)
+        column = (rates if name == "approach" else getattr(hits, name)).reshape(len(hits), -1)
         weights = torch.randn(column.shape, dtype=torch.float64, generator=generator).to(given.device)
         loss = loss + (column * weights)[counts].sum()
     wanted = [*poses, *([] if margin is None else [margin])]

@@ -36,12 +36,19 @@ class Case:
     Args:
         inputs: float64, what is differentiated: columns of the motion, margins and the separation.
         detect: contacts of these inputs, of each pair the first.
+        rates: `pgccd.approach_rates` of these inputs and contacts.
         world: of each row of each input.
     """
 
     inputs: Inputs
     detect: Callable[[Inputs], pgccd.Contacts]
+    rates: Callable[[Inputs, pgccd.Contacts], Tensor]
     world: dict[str, Tensor]
+
+    def column(self, name: str, given: Inputs, hits: pgccd.Contacts) -> Tensor:
+        """(K, n): a column of contacts of these inputs, or their rates."""
+        values: Tensor = self.rates(given, hits) if name == "approach" else getattr(hits, name)
+        return values.reshape(len(hits), -1)
 
 
 def random_case(motion: str, count: int, separated: bool, seed: int, device: torch.device) -> Case:
@@ -91,24 +98,27 @@ def random_case(motion: str, count: int, separated: bool, seed: int, device: tor
             "q1": torch.nn.functional.normalize(q0 + 0.4 * normal(2 * count, 4), dim=1),
         }
 
-    def detect(given: Inputs) -> pgccd.Contacts:
-        separation = given.get("separation", 0.0)
-        path: pgccd.RigidMotion | pgccd.VertexMotion | pgccd.Trajectory
+    def path(given: Inputs) -> pgccd.RigidMotion | pgccd.VertexMotion | pgccd.Trajectory:
         if motion == "vertices":
-            path = pgccd.VertexMotion(given["x0"], given["x1"])
-        elif motion == "trajectory":
+            return pgccd.VertexMotion(given["x0"], given["x1"])
+        if motion == "trajectory":
             # Through the middle of the positions and of the orientations.
             unit = [q / q.norm(dim=1, keepdim=True) for q in (given["q0"], given["q0"] + given["q1"], given["q1"])]
             position = torch.stack([given["x0"], 0.5 * (given["x0"] + given["x1"]), given["x1"]])
-            path = pgccd.Trajectory(position, torch.stack(unit))
-        else:
-            kind = "linear" if motion == "linear" else "rigid"
-            unit = given["q0"] / given["q0"].norm(dim=1, keepdim=True)
-            path = pgccd.RigidMotion.from_rotation(given["x0"], unit, given["x1"], given["turn"], kind)
-        return pgccd.detect(scene(given), path, min_separation=separation, tolerance=TOLERANCE)
+            return pgccd.Trajectory(position, torch.stack(unit))
+        kind = "linear" if motion == "linear" else "rigid"
+        turned = given["q0"] / given["q0"].norm(dim=1, keepdim=True)
+        return pgccd.RigidMotion.from_rotation(given["x0"], turned, given["x1"], given["turn"], kind)
+
+    def detect(given: Inputs) -> pgccd.Contacts:
+        separation = given.get("separation", 0.0)
+        return pgccd.detect(scene(given), path(given), min_separation=separation, tolerance=TOLERANCE)
+
+    def rates(given: Inputs, hits: pgccd.Contacts) -> Tensor:
+        return pgccd.approach_rates(scene(given), path(given), hits)
 
     inputs = {name: values.to(device) for name, values in (inputs | more).items()}
-    return Case(inputs, detect, {name: row.to(device) for name, row in rows.items() if name in inputs})
+    return Case(inputs, detect, rates, {name: row.to(device) for name, row in rows.items() if name in inputs})
 
 
 def _turned(orientation: Tensor, mesh: int) -> Tensor:
@@ -130,9 +140,8 @@ def errors(case: Case, seed: int = 0) -> dict[str, Tensor]:
     wanting = {name: values.clone().requires_grad_() for name, values in case.inputs.items()}
     hits = case.detect(wanting)
     count = int(hits.pairs.max()) // 2 + 1
-    moved = [
-        case.detect({name: x + k * _STEP * along[name] for name, x in case.inputs.items()}) for k in (-2, -1, 1, 2)
-    ]
+    places = [{name: x + k * _STEP * along[name] for name, x in case.inputs.items()} for k in (-2, -1, 1, 2)]
+    moved = [case.detect(place) for place in places]
     row, kept = torch.full((count,), -1, device=hits.pairs.device), hits.differentiable
     for other in moved:
         row = torch.full_like(row, -1)
@@ -148,7 +157,7 @@ def errors(case: Case, seed: int = 0) -> dict[str, Tensor]:
         kept = kept & same & (on_third[0][mine] == on_third[1])
     found = {}
     for name in _COLUMNS:
-        column = getattr(hits, name).reshape(len(hits), -1)
+        column = case.column(name, wanting, hits)
         weights = torch.randn(column.shape[1], dtype=torch.float64, generator=random).to(column.device)
         grads = torch.autograd.grad((column @ weights).sum(), list(wanting.values()), retain_graph=True)
         derivative = torch.zeros(count, dtype=torch.float64, device=column.device)
@@ -157,9 +166,9 @@ def errors(case: Case, seed: int = 0) -> dict[str, Tensor]:
                 terms = (gradient * along[key]).reshape(len(gradient), -1).sum(1)
                 derivative = derivative.index_add(0, case.world[key], terms)
         values = []
-        for other in moved:
+        for place, other in zip(places, moved, strict=True):
             row[other.pairs[:, 0] // 2] = torch.arange(len(other), device=row.device)
-            values.append(getattr(other, name).reshape(len(other), -1)[row[hits.pairs[:, 0] // 2]] @ weights)
+            values.append(case.column(name, place, other)[row[hits.pairs[:, 0] // 2]] @ weights)
         differences = (values[0] - 8.0 * values[1] + 8.0 * values[2] - values[3]) / (12.0 * _STEP)
         by_row = derivative[hits.pairs[:, 0] // 2]
         if "separation" in wanting:  # that of all pairs is one number: each row's own is found by its own backward
@@ -174,7 +183,7 @@ def _of_separation(case: Case, name: str, weights: Tensor, hits: pgccd.Contacts)
     """(K,): derivatives by the separation, as those by a margin of one body of each pair."""
     plain = {key: values.detach() for key, values in case.inputs.items()}
     margin = plain["margin"].clone().requires_grad_()
-    again = case.detect(plain | {"margin": margin})
-    column = getattr(again, name).reshape(len(again), -1)
+    given = plain | {"margin": margin}
+    column = case.column(name, given, case.detect(given))
     (gradient,) = torch.autograd.grad((column @ weights).sum(), margin)
     return gradient[hits.pairs[:, 0]]
