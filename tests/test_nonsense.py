@@ -217,7 +217,12 @@ def calls(folder: Path) -> dict[str, Call]:
         "RigidMotion.at": Call(motion.at, {"t": 0.5}),
         "RigidMotion.shortened": Call(motion.shortened, {"fraction": 0.5}),
         "Trajectory.segment": Call(rollout.segment, {"index": 0}),
-        "Contacts.approaching": Call(hits.approaching, {"slack": 0.1}),
+        "approaching": Call(
+            pgccd.approaching,
+            {"scene": scene, "motion": motion, "hits": hits, "slack": 0.1},
+            {"hits": ("scene", "motion")},
+        ),
+        "approach_rates": Call(pgccd.approach_rates, {"scene": scene, "motion": motion, "hits": hits}),
         "Contacts.first_toi": Call(hits.first_toi, {"by": "body"}),
         "Mesh.box": Call(pgccd.Mesh.box, {"extents": (1.0, 1.0, 1.0), "origin": "centroid"}, {"extents": ("origin",)}),
         "Mesh.sphere": Call(pgccd.Mesh.sphere, {"radius": 1.0, "subdivisions": 1, "origin": "centroid"}),

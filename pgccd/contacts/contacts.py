@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, NoReturn, Self
 
@@ -11,6 +11,7 @@ from torch import Tensor
 
 from pgccd import arguments
 from pgccd.contacts.by_body import By, any_contact, first_time, owners
+from pgccd.contacts.rows import Columns, Form, Rows
 from pgccd.ops import ContactRows
 from pgccd.search.sizes import Capacity
 
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
 
 # Dtypes and further sizes of columns.
-_FORMS: dict[str, tuple[torch.dtype, tuple[int, ...]]] = {
+_FORMS: dict[str, Form] = {
     "pairs": (torch.int64, (2,)),
     "kind": (torch.int8, ()),
     "features": (torch.int32, (2,)),
@@ -125,7 +126,7 @@ class Stats:
 
 
 @dataclass(eq=False, kw_only=True, repr=False)
-class PairColumns:
+class PairColumns(Columns):
     """What all results have: body pairs. Equal (`==`) if all columns are, bit by bit."""
 
     pairs: Tensor
@@ -134,11 +135,6 @@ class PairColumns:
     _is_of_rank: bool = field(default=False, repr=False, compare=False)
 
     _names: ClassVar[tuple[str, ...]] = ("pairs",)
-
-    @property
-    def columns(self) -> dict[str, Tensor]:
-        """The columns, by name."""
-        return {name: getattr(self, name) for name in self._names}
 
     @property
     def _incomplete(self) -> Tensor | None:
@@ -287,8 +283,10 @@ class ContactColumns(PairColumns):
 
 
 @dataclass(eq=False, kw_only=True, repr=False)
-class CountedRows(PairColumns):
+class CountedRows(Rows, PairColumns):
     """What results without padding have: any number of rows."""
+
+    _forms = _FORMS
 
     stats: Stats
     payload: dict[str, Tensor] = field(default_factory=dict, repr=False, compare=False)
@@ -304,44 +302,6 @@ class CountedRows(PairColumns):
 
     __hash__ = None
 
-    def __iter__(self) -> NoReturn:
-        columns = "zip(hits.pairs.tolist(), hits.toi.tolist())" if "toi" in self._names else "hits.pairs.tolist()"
-        raise TypeError(
-            f"{type(self).__name__}: not iterable: loop over columns, such as {columns}, or over single rows, "
-            "hits[k : k + 1]"
-        )
-
-    def __len__(self) -> int:
-        return self.pairs.shape[0]
-
-    def __getitem__(self, rows: Tensor | slice | Sequence[int]) -> Self:
-        """Some of the rows: a mask (K,), row numbers or a slice. `stats` remain those of the whole call.
-
-        Example:
-            >>> early = hits[hits.toi < 0.5]
-        """
-        if isinstance(rows, int) and not isinstance(rows, bool):
-            raise TypeError(f"rows: expected a mask, row numbers or a slice, got {rows}: write hits[[{rows}]]")
-        picked = arguments.rows(rows, "rows", len(self))
-        return self._map(lambda column: column[picked])
-
-    def to(self, device: torch.device | str) -> Self:
-        """A copy on another device.
-
-        Example:
-            >>> hits = hits.to("cpu")
-        """
-        device = arguments.device(device)
-        return self._map(lambda column: column.to(device))
-
-    def clone(self) -> Self:
-        """A copy of all columns.
-
-        Example:
-            >>> copied = hits.clone()
-        """
-        return self._map(Tensor.clone)
-
     def state_dict(self) -> dict[str, Any]:
         """The columns and stats as a dictionary of tensors and numbers, without gradients, the scene and
         `Stats.needed`, for `torch.save` and `torch.load` with weights_only=True.
@@ -349,9 +309,8 @@ class CountedRows(PairColumns):
         Example:
             >>> torch.save(hits.state_dict(), "hits.pt")
         """
-        columns: dict[str, Any] = {name: column.detach() for name, column in self.columns.items()}
         stats = {name: value for name, value in asdict(replace(self.stats, needed=None)).items() if name != "needed"}
-        return columns | {"stats": stats} | {name: getattr(self, name) for name in _flags_of(type(self))}
+        return super().state_dict() | {"stats": stats} | {name: getattr(self, name) for name in _flags_of(type(self))}
 
     @classmethod
     def from_state_dict(cls, state: dict[str, Any], scene: Scene | None = None) -> Self:
@@ -368,23 +327,15 @@ class CountedRows(PairColumns):
             >>> again = pgccd.Contacts.from_state_dict(hits.state_dict(), scene)
         """
         flags = _flags_of(cls)
-        arguments.entries(state, (*cls._names, "stats", *flags))
-        count = None
-        for name in cls._names:
-            column, (dtype, width) = state[name], _FORMS[name]
-            if not isinstance(column, Tensor) or column.dtype != dtype:
-                raise TypeError(f"{name}: expected {dtype}, got {arguments.describe(column)}")
-            arguments.shape(column, name, ("K" if count is None else count, *width), state["pairs"].device)
-            count = len(column)
+        given = cls._columns_of(state, "stats", *flags)
         _check_rows(state, scene)
         _check_stats(state["stats"])
-        given: dict[str, Any] = {name: state[name] for name in cls._names}
         given |= {name: arguments.flag(state[name], name) for name in flags}
         return cls(**given, stats=Stats(**state["stats"]), scene=scene)
 
     def _map(self, change: Callable[[Tensor], Tensor]) -> Self:
-        columns: dict[str, Any] = {name: change(column) for name, column in self.columns.items()}
-        return replace(self, **columns, payload={name: change(column) for name, column in self.payload.items()})
+        payload = {name: change(column) for name, column in self.payload.items()}
+        return replace(super()._map(change), payload=payload)
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}(count={len(self)}, pcs={self.stats.pcs}, device={self.pairs.device})"

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
 from torch import Tensor
+
+from pgccd.contacts.rows import Form, Rows
 
 if TYPE_CHECKING:
     from pgccd.robots.robot import Robot
@@ -35,7 +38,7 @@ class Verdict(IntEnum):
 
 
 @dataclass(eq=False, kw_only=True, repr=False)
-class Certificate:
+class Certificate(Rows):
     """Results of B environments, each of which says nothing about others.
 
     Attributes:
@@ -68,6 +71,33 @@ class Certificate:
     untested: list[tuple[str, str, str]] = field(default_factory=list)
     steps: int = 0
     searches: int = 0
+
+    _names: ClassVar[tuple[str, ...]] = ("verdict", "time", "segment", "toi", "links", "point")
+    _forms: ClassVar[Mapping[str, Form]] = {
+        "verdict": (torch.int8, ()),
+        "time": (torch.float64, ()),
+        "segment": (torch.int64, ()),
+        "toi": (torch.float64, ()),
+        "links": (torch.int64, (2,)),
+        "point": (torch.float64, (3,)),
+    }
+
+    @classmethod
+    def from_state_dict(cls, state: Mapping[str, Any], robot: Robot) -> Certificate:
+        """The certificates of a `state_dict`, on the device of its tensors.
+
+        Args:
+            state: from `state_dict`.
+            robot: whose paths these are.
+
+        Raises:
+            TypeError, ValueError: naming the entry that is missing or invalid.
+
+        Example:
+            >>> result = robot.certify(torch.zeros(1, 2, robot.joint_count))
+            >>> again = pgccd.robots.Certificate.from_state_dict(result.state_dict(), robot)
+        """
+        return cls(**cls._columns_of(state), link_names=robot.link_names, untested=robot.untested)
 
     @classmethod
     def _without_contact(cls, environments: int, robot: Robot, device: torch.device) -> Certificate:
@@ -109,9 +139,6 @@ class Certificate:
         if links[0] == len(self.link_names):
             return ()
         return tuple(self.link_names[k] if k >= 0 else f"obstacle {-1 - k}" for k in links)
-
-    def __len__(self) -> int:
-        return len(self.verdict)
 
     def __repr__(self) -> str:
         counts = [f"{v.name.lower()}={n}" for v in Verdict if (n := int((self.verdict == int(v)).sum()))]

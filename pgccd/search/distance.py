@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
 
 from pgccd import arguments, ops
 from pgccd.contacts.contacts import earliest_of_each
+from pgccd.contacts.rows import Form, Rows
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
@@ -20,7 +23,7 @@ from pgccd.search.trajectories import in_scene, segments_as_step, time_along
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
-class Distances:
+class Distances(Rows):
     """Certified bounds of the least distance of body pairs over a motion, made by `pgccd.distance`.
 
     Attributes:
@@ -47,9 +50,31 @@ class Distances:
     points: Tensor
     converged: Tensor
 
-    def __len__(self) -> int:
-        """Number of pairs."""
-        return len(self.pairs)
+    _names: ClassVar[tuple[str, ...]] = ("pairs", "lower", "upper", "time", "points", "converged")
+    _forms: ClassVar[Mapping[str, Form]] = {
+        "pairs": (torch.int64, (2,)),
+        "lower": (torch.float64, ()),
+        "upper": (torch.float64, ()),
+        "time": (torch.float64, ()),
+        "points": (torch.float64, (2, 3)),
+        "converged": (torch.bool, ()),
+    }
+
+    @classmethod
+    def from_state_dict(cls, state: Mapping[str, Any]) -> Distances:
+        """The distances of a `state_dict`, on the device of its tensors.
+
+        Args:
+            state: from `state_dict`.
+
+        Raises:
+            TypeError, ValueError: naming the entry that is missing or invalid.
+
+        Example:
+            >>> near = pgccd.distance(scene, motion, cutoff=0.1)
+            >>> again = pgccd.Distances.from_state_dict(near.state_dict())
+        """
+        return cls(**cls._columns_of(state))
 
     def __repr__(self) -> str:
         """The number of pairs, and the bounds of the least distance of all."""

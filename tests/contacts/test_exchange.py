@@ -334,3 +334,24 @@ def test_arrays_that_cannot_be_shared_are_named() -> None:
     locked = np.zeros((2, 3))
     locked.flags.writeable = False
     assert pgccd.RigidMotion(locked, q, x, q).body_count == 2  # type: ignore[arg-type]
+
+
+def test_rows_of_distances(tmp_path: Path, device: torch.device) -> None:
+    """Selected, moved, copied and stored as contacts are."""
+    scene, motion = scattered(16, device)
+    near = pgccd.distance(scene, motion, cutoff=2.0)
+    again = pgccd.Distances.from_state_dict(saved(near.state_dict(), tmp_path / "near"))
+    chosen = near[near.upper < torch.inf]
+    assert 0 < len(chosen) <= len(near) and isinstance(chosen, pgccd.Distances)
+    for name, column in near.columns.items():
+        for other in (again, near.clone(), near.to("cpu").to(device)):
+            assert torch.equal(getattr(other, name).nan_to_num(9.0), column.nan_to_num(9.0)), name
+        assert torch.equal(getattr(chosen, name), column[near.upper < torch.inf]), name
+    with pytest.raises(TypeError, match="^rows: expected a mask"):
+        near[0]  # type: ignore[index]
+    state = near.state_dict()
+    for name, wrong in (("points", state["points"][:, :1]), ("lower", state["lower"].float()), ("pairs", None)):
+        with pytest.raises((TypeError, ValueError), match=f"^{name}: "):
+            pgccd.Distances.from_state_dict(state | {name: wrong})
+    with pytest.raises(ValueError, match="upper"):
+        pgccd.Distances.from_state_dict({name: state[name] for name in state if name != "upper"})

@@ -423,3 +423,18 @@ def test_robots_without_joints(tmp_path: Path) -> None:
         assert found.verdict.tolist() == [Verdict.FREE] * environments
     trajectory = robot.trajectory(torch.zeros(3, 0), obstacles)
     assert not len(pgccd.detect(robot.scene(obstacles), trajectory))
+
+
+def test_rows_of_certificates(tmp_path: Path) -> None:
+    robot = loaded(beams(2), tmp_path)
+    obstacles, _, _ = boxes(np.random.default_rng(3), 3, 0.4, 1.5)
+    q = torch.tensor(np.random.default_rng(4).uniform(-2.0, 2.0, (12, 3, 2)))
+    found = robot.certify(q, obstacles)
+    again = pgccd.robots.Certificate.from_state_dict(found.state_dict(), robot)
+    blocked = found[~found.free]
+    assert 0 < len(blocked) < 12 and blocked.link_names == again.link_names == robot.link_names
+    for name, column in found.columns.items():
+        assert torch.equal(getattr(again, name).nan_to_num(9), column.nan_to_num(9)), name
+        assert torch.equal(getattr(blocked, name).nan_to_num(9), column[~found.free].nan_to_num(9)), name
+    with pytest.raises(TypeError, match="^verdict: expected torch.int8"):
+        pgccd.robots.Certificate.from_state_dict(found.state_dict() | {"verdict": found.verdict.long()}, robot)
