@@ -113,8 +113,8 @@ PGCCD_HD double turning_gap(const TurningRange& most, const TurningRange& least,
   return least_of_quadratic(first, middle + 0.5 * (shorter * gap), last);
 }
 
-// Whether an edge of one certainly passes through the other, given the error of the points; if so, `points` are the place
-// on each where it does.
+// Whether an edge of one certainly passes through the other, given the error of the points; if so, `points` are the
+// place on each where it does.
 PGCCD_HD_RARE inline bool certainly_intersect(const Corners3& a, const Corners3& b, double point_error,
                                               Vec3<double> (&points)[2]) {
   const auto never = [] { return EdgeAndFace<DoubleDouble>{}; };
