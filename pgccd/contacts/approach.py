@@ -39,6 +39,8 @@ _ROUNDING = 2.0**-46
 _MOST_FACES = 8
 # Sine of the angle between directions and a plane within which they may be rounded.
 _SLIDING = 2.0**-36
+# Places that differ by less than this part of the sizes involved are the same.
+_SAME_PLACE = 1e-10
 # Sine of the angle within which a direction is the normal of a face.
 _PARALLEL = 1e-5
 
@@ -68,6 +70,7 @@ def approach_rates(scene: Scene, motion: RigidMotion | VertexMotion | Trajectory
     copies, steps, bodies = moving_bodies(scene, motion, hits)
     with torch.no_grad():
         sites = Sites.of(hits, copies._detached(), steps._detached(), bodies)
+        _require_same_paths(sites)
         normal = hits.normal.detach().cpu()
         rate = -dot(normal, sites.velocity())
         is_reversed = sites.is_reversed(normal) & (sites.kind <= Kind.EE)
@@ -98,6 +101,7 @@ def recede(
         else:
             slacks = torch.full((len(bodies),), slack, dtype=torch.float64, device=bodies.device)
         sites = Sites.of(hits, copies, steps, bodies)
+        _require_same_paths(sites)
         columns = (hits.normal.detach(), hits.status, slacks)
         return _recedes(sites, *(column.cpu() for column in columns)).to(bodies.device)
 
@@ -116,7 +120,7 @@ def moving_bodies(
     if not isinstance(hits, Contacts):
         raise TypeError(f"hits: expected pgccd.Contacts, got {arguments.describe(hits)}")
     if hits._is_of_rank:
-        raise ValueError("hits: are the contacts of one of several ranks, which has not the paths of all partners")
+        raise ValueError("hits: are the contacts of one of several ranks, which does not have all paths")
     if hits.toi.device != scene.device:
         raise ValueError(f"hits: are on {hits.toi.device}, the scene on {scene.device}")
     if len(hits) and int(hits.pairs.amax()) >= scene.body_count:
@@ -137,6 +141,20 @@ def moving_bodies(
         raise ValueError(f"motion: is on {motion.device}, the scene on {scene.device}")
     MovingBodies.of(scene._detached(), motion._detached())  # raises if it is not of these bodies
     return scene, motion, hits.pairs
+
+
+def _require_same_paths(sites: Sites) -> None:
+    """Raises ValueError if the features of contacts are elsewhere at toi: then the scene or the motion is another one,
+    and what it says of the rest of the step is not about these contacts.
+    """
+    away, size = sites.point_error()
+    is_wrong = ~(away <= _SAME_PLACE * size)
+    if bool(is_wrong.any()):
+        row = int(is_wrong.long().argmax())
+        raise ValueError(
+            f"motion: contact {row} is {float(away[row]):.3g} from where its features are at toi: give the scene and "
+            "the motion with which the contacts were found, unchanged"
+        )
 
 
 def _weighted(contacts: Contacts, velocity: Tensor) -> Tensor:

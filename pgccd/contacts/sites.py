@@ -242,6 +242,15 @@ class Sites:
             apart = apart + (between + self.toi[:, None] * change)
         return apart, _NOISE * (size + norm(between) + norm(change))
 
+    def point_error(self) -> tuple[Tensor, Tensor]:
+        """How far the contacts' points are from halfway between the nearest points of the features at toi (K,); and the
+        sizes that were added for that (K,).
+        """
+        arms = [self.nearest(side) - self._arm_of_point(side) for side in (0, 1)]
+        away = norm(0.5 * (arms[0] + arms[1]))
+        _, noise = self.offset()
+        return away, noise / _NOISE + norm(self.point)
+
     def is_reversed(self, normal: Tensor) -> Tensor:
         """(K,) bool: contacts with toi > 0 that coincide up to rounding, whose normal (K, 3), though, says that they
         recede: they were apart before, on the other side.

@@ -424,6 +424,19 @@ def test_refusals() -> None:
             getattr(hits, name)
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_another_motion_is_refused(kind: Kind) -> None:
+    """What it says of the rest of the step is not about these contacts."""
+    scene, motion = sliding(kind, [CUBE, ROOM], (0, 0, 0.5), (8.0, 0, 0))
+    hits = pgccd.detect(scene, motion, "all")
+    _, other = sliding(kind, [CUBE, ROOM], (0, 0, 0.501), (8.0, 0, 0))
+    ways: list[Any] = [pgccd.approach_rates, pgccd.approaching]
+    for ask in ways:
+        assert len(ask(scene, motion, hits)) > 0
+        with pytest.raises(ValueError, match="^motion: contact 0 is 0.0005 from where its features are at toi"):
+            ask(scene, other, hits)
+
+
 def test_contacts_keep_neither_scene_data_nor_motion() -> None:
     """One contact of many bodies is small."""
     count = 2_000
