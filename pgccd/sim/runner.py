@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import threading
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -14,7 +14,7 @@ from typing import Any
 
 import torch
 
-from pgccd.checkpoint.files import FOLDER, KEEP, checked_keep, require_writable
+from pgccd.checkpoint.files import FOLDER, KEEP, CheckpointError, checked_keep, require_writable
 from pgccd.distributed.checkpoint.partition import load_partition, stored_kind
 from pgccd.distributed.checkpoint.reading import load_share, open_stored
 from pgccd.distributed.checkpoint.shared_folder import hold_together
@@ -288,7 +288,7 @@ class _Plan:
         """Runs the steps, given the log on rank 0, which is closed at the end. Returns the total number made."""
         steps, every = self.steps, self.checkpoint_every
         with log or nullcontext(), _stop_requests() as stop:
-            with _DelayedLog(log, self.progress) as lines:
+            with machine, _DelayedLog(log, self.progress) as lines:
                 while made < steps and not machine.stops(stop.is_set()):
                     until = steps if not every else min(steps, -(-(made + 1) // every) * every)
                     lines.add(machine.step(made, more=until - made - 1))
@@ -340,6 +340,15 @@ class _Machine:
     def finish(self) -> None:
         """Waits until the last checkpoint is complete."""
         self._checkpoints.finish()
+
+    def __enter__(self) -> _Machine:
+        return self
+
+    def __exit__(self, _kind: object, error: BaseException | None, _traceback: object) -> None:
+        # The checkpoint that is being written survives a failure. Of several ranks, one that failed could wait forever.
+        if isinstance(error, Exception) and self._simulation.comm.size == 1:
+            with suppress(CheckpointError):
+                self.finish()
 
 
 class _DelayedLog:

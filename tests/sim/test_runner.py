@@ -20,6 +20,7 @@ import torch
 
 import pgccd
 from pgccd import sim
+from pgccd.checkpoint import files
 from pgccd.checkpoint.lock import FolderError
 from pgccd.runtime.stages import StageClock
 from pgccd.sim import log as log_module
@@ -106,7 +107,17 @@ class CrashError(Exception):
     pass
 
 
-def test_checkpoints_are_written_on_the_way(finished: tuple[Path, sim.Run], tmp_path: Path) -> None:
+def test_checkpoints_are_written_on_the_way(
+    finished: tuple[Path, sim.Run], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write = files.write_tables
+
+    def write_slowly(*of_rank: Any) -> Any:
+        time.sleep(0.5)  # steps 10 to 12 take less
+        return write(*of_rank)
+
+    monkeypatch.setattr(files, "write_tables", write_slowly)
+
     class CrashAfter:
         def advance(self, record: dict[str, Any]) -> None:
             if record["step"] == 12:
