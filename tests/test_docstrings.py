@@ -27,7 +27,7 @@ import pgccd
 from pgccd import distributed, sim
 from pgccd.distributed.partition.balance import CellLoads
 from pgccd.distributed.partition.decomposition import Decomposition
-from pgccd.sim.partners import FIRST_CONTACTS
+from pgccd.sim.simulation import FIRST_CONTACTS
 
 ROOT = Path(__file__).resolve().parents[1]
 TWO_BALLS = """<mujoco><worldbody><geom type="plane" size="1 1 1"/>

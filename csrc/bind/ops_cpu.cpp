@@ -3,6 +3,7 @@
 #include "bind/detect_ops.h"
 #include "bind/distance_ops.h"
 #include "bind/padded_ops.h"
+#include "bind/resolve_ops.h"
 #include "bind/row_ops.h"
 #include "bind/simulate_ops.h"
 #include "bind/subdomain_ops.h"
@@ -14,6 +15,7 @@ STABLE_TORCH_LIBRARY_IMPL(pgccd, CPU, library) {
   register_detect_ops<CpuSession>(library);
   register_distance_ops<CpuSession>(library);
   register_padded_ops<CpuSession>(library);
+  register_resolve_ops<CpuSession>(library);
   register_row_ops<CpuSession>(library);
   register_simulate_ops<CpuSession>(library);
   register_subdomain_ops<CpuSession>(library);

@@ -7,6 +7,7 @@
 #include "bind/graph_ops.h"
 #include "bind/padded_ops.h"
 #include "bind/peer_ops.h"
+#include "bind/resolve_ops.h"
 #include "bind/row_ops.h"
 #include "bind/simulate_ops.h"
 #include "bind/subdomain_ops.h"
@@ -17,6 +18,7 @@ STABLE_TORCH_LIBRARY_IMPL(pgccd, CUDA, library) {
   register_detect_ops<CudaSession>(library);
   register_distance_ops<CudaSession>(library);
   register_padded_ops<CudaSession>(library);
+  register_resolve_ops<CudaSession>(library);
   register_row_ops<CudaSession>(library);
   register_simulate_ops<CudaSession>(library);
   register_subdomain_ops<CudaSession>(library);

@@ -147,6 +147,17 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
       "Tensor by_destination, Tensor counts)");
   library.def("count_leaving(Tensor position, Tensor? id, float[] frame, Tensor owner, int rank) -> Tensor");
 
+  // Rounds in which collisions are resolved.
+  library.def(
+      "resolve_slow_down(Tensor(a!) first, Tensor(b!) fraction, Tensor(c!) changed, Tensor(d!) changes, "
+      "float approach, float smallest) -> ()");
+  library.def("resolve_first_toi(Tensor(a!) first, Tensor pairs, Tensor toi) -> ()");
+  // own, ghosts, motion: bodies = [mesh_index, position_t0, position_t1, radius, orientation, rotation, margin if any]
+  // counts: see kernels/padded_pairs.h
+  library.def(
+      "resolve_pairs(Tensor[] own, Tensor[] ghosts, Tensor fraction, Tensor changed, Tensor pairs, bool skips_equal, "
+      "bool by_velocity, int capacity) -> (Tensor found, Tensor[] motion, Tensor counts)");
+
   // The nanorobot simulation.
   // state = [id (N,) i64, position (N, 3), orientation (N, 4), velocity (N, 3), angular_velocity (N, 3),
   //          target (N,) i64, stay_until (N,) i64], see kernels/simulate/robot.h
@@ -162,15 +173,6 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
       "Tensor angular_velocity)");
   // planned: velocity, angular_velocity, target, stay_until
   library.def("simulate_commit(Tensor(a!)[] state, Tensor[] planned, Tensor fraction, Tensor discard) -> ()");
-  library.def(
-      "simulate_slow_all_down(Tensor(a!) first, Tensor(b!) fraction, Tensor(c!) changed, Tensor(d!) changes, "
-      "float approach, float smallest) -> ()");
-  library.def("simulate_first_toi(Tensor(a!) first, Tensor? robots, Tensor pairs, Tensor toi) -> ()");
-  // counts: see kernels/padded_pairs.h
-  library.def(
-      "simulate_affected_motion(Tensor[] own, Tensor[] ghosts, Tensor fraction, Tensor changed, Tensor pairs, "
-      "Tensor mesh_radius, int capacity) -> (Tensor affected, Tensor mesh_index, Tensor position_t0, "
-      "Tensor position_t1, Tensor radius, Tensor orientation, Tensor rotation, Tensor counts)");
   // Number of robots, hash of contacts, hash of states, number of robots that stopped, number of contacts at the start,
   // hash of ids.
   library.def("simulate_tally(Tensor[] state, Tensor fraction, Tensor id, Tensor pairs, Tensor toi) -> Tensor");

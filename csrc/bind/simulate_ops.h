@@ -56,18 +56,6 @@ inline RobotColumns robot_columns(const std::vector<Tensor>& t) {
   return view;
 }
 
-inline MovingRobots moving_robots(const std::vector<Tensor>& t, const char* name) {
-  STD_TORCH_CHECK(t.size() == 5, name, ": expected 5 tensors, got ", t.size());
-  MovingRobots view;
-  view.id = rows<int64_t>(t[0], name, {kAnySize});
-  view.count = t[0].size(0);
-  view.position = rows<double>(t[1], name, {view.count, 3});
-  view.orientation = rows<double>(t[2], name, {view.count, 4});
-  view.velocity = rows<double>(t[3], name, {view.count, 3});
-  view.angular_velocity = rows<double>(t[4], name, {view.count, 3});
-  return view;
-}
-
 inline HashColumns hash_columns(const std::vector<Tensor>& t) {
   STD_TORCH_CHECK(!t.empty() && t.size() <= HashColumns::kMost, "columns: expected 1 to ", HashColumns::kMost,
                   " tensors, got ", t.size());
@@ -172,66 +160,6 @@ struct SimulateOps {
                          rows<int64_t>(discard, "discard", {1}), results);
   }
 
-  static void simulate_slow_all_down(Tensor first, Tensor fraction, Tensor changed, Tensor changes, double approach,
-                                     double smallest) {
-    rows<double>(first, "first", {kAnySize});
-    const int64_t count = first.size(0);
-    rows<double>(fraction, "fraction", {count});
-    rows<uint8_t>(changed, "changed", {count});
-    rows<int64_t>(changes, "changes", {1});
-    pgccd::slow_all_down(
-        Session(first).context(),
-        {data<double>(first), data<double>(fraction), data<uint8_t>(changed), count, approach, smallest},
-        data<int64_t>(changes));
-  }
-
-  static void simulate_first_toi(Tensor first, const std::optional<Tensor>& robots, const Tensor& pairs,
-                                 const Tensor& toi) {
-    rows<double>(first, "first", {kAnySize});
-    FirstToiInput input;
-    input.robots = robots ? rows<int64_t>(*robots, "robots", {kAnySize}) : nullptr;
-    input.toi = rows<double>(toi, "toi", {kAnySize});
-    input.count = toi.size(0);
-    input.pairs = rows<int64_t>(pairs, "pairs", {input.count, 2});
-    input.robot_count = first.size(0);
-    input.copy_count = robots ? robots->size(0) : input.robot_count;
-    pgccd::lower_first_toi_of_robots(Session(first).context(), input, data<double>(first));
-  }
-
-  // Pairs, the `MovingBodies.tensors` of their robots, counts.
-  using PairsAndMotion = std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor>;
-
-  static PairsAndMotion simulate_affected_motion(const TensorList& own, const TensorList& ghosts,
-                                                 const Tensor& fraction, const Tensor& changed, const Tensor& pairs,
-                                                 const Tensor& mesh_radius, int64_t capacity) {
-    STD_TORCH_CHECK(capacity >= 0 && capacity < (int64_t{1} << 31), "capacity: expected a number in [0, 2^31), got ",
-                    capacity);
-    AffectedMotion given;
-    given.own = moving_robots(own, "own");
-    given.ghosts = moving_robots(ghosts, "ghosts");
-    const int64_t held = given.own.count + given.ghosts.count;
-    given.fraction = rows<double>(fraction, "fraction", {held});
-    given.affected = {rows<int64_t>(pairs, "pairs", {kAnySize, 2}), rows<uint8_t>(changed, "changed", {held}),
-                      given.fraction, held};
-    given.pair_count = pairs.size(0);
-    STD_TORCH_CHECK(given.pair_count < (int64_t{1} << 31), "pairs: more than 2^31 - 1 rows in one call");
-    given.mesh_radius = rows<double>(mesh_radius, "mesh_radius", {kAnySize});
-    given.mesh_count = mesh_radius.size(0);
-    STD_TORCH_CHECK(given.mesh_count > 0, "mesh_radius: expected at least one mesh");
-    Tensor found = new_tensor<int64_t>(pairs, {capacity, 2}), counts = new_integers(pairs, int64_t{kPairCounts});
-    Tensor mesh_index = new_tensor<int32_t>(fraction, {2 * capacity}),
-           radius = new_tensor<double>(fraction, {2 * capacity});
-    Tensor position_t0 = new_rows(fraction, 2 * capacity, 3), position_t1 = new_rows(fraction, 2 * capacity, 3);
-    Tensor orientation = new_rows(fraction, 2 * capacity, 4), rotation = new_rows(fraction, 2 * capacity, 3);
-    given.capacity = capacity;
-    given.pairs = data<int64_t>(found);
-    given.motion = {data<int32_t>(mesh_index), data<double>(position_t0), data<double>(radius),
-                    data<double>(orientation), data<double>(position_t1), data<double>(rotation)};
-    given.counts = data<int64_t>(counts);
-    pgccd::affected_motion(Session(fraction).context(), given);
-    return {found, mesh_index, position_t0, position_t1, radius, orientation, rotation, counts};
-  }
-
   static Tensor simulate_tally(const TensorList& state, const Tensor& fraction, const Tensor& id, const Tensor& pairs,
                                const Tensor& toi) {
     StepOutcome outcome;
@@ -271,9 +199,6 @@ void register_simulate_ops(Library& library) {
   library.impl("simulate_plan", PGCCD_BOX(Ops::simulate_plan));
   library.impl("simulate_respond", PGCCD_BOX(Ops::simulate_respond));
   library.impl("simulate_commit", PGCCD_BOX(Ops::simulate_commit));
-  library.impl("simulate_slow_all_down", PGCCD_BOX(Ops::simulate_slow_all_down));
-  library.impl("simulate_first_toi", PGCCD_BOX(Ops::simulate_first_toi));
-  library.impl("simulate_affected_motion", PGCCD_BOX(Ops::simulate_affected_motion));
   library.impl("simulate_tally", PGCCD_BOX(Ops::simulate_tally));
   library.impl("simulate_hash", PGCCD_BOX(Ops::simulate_hash));
   library.impl("random_uniforms", PGCCD_BOX(Ops::random_uniforms));

@@ -26,16 +26,14 @@ from pgccd.ops.distance import distances
 from pgccd.ops.graphs import begin_conditional, end_conditional, has_conditional_nodes
 from pgccd.ops.library import Bodies, set_device_share, take_scratch_peak
 from pgccd.ops.peers import peer_gather, peer_minimum
+from pgccd.ops.resolve import resolve_first_toi, resolve_pairs, resolve_slow_down
 from pgccd.ops.rows import merge_rows, pack_rows, take_rows, unpack_rows
 from pgccd.ops.simulate import (
     random_uniforms,
-    simulate_affected_motion,
     simulate_commit,
-    simulate_first_toi,
     simulate_hash,
     simulate_plan,
     simulate_respond,
-    simulate_slow_all_down,
     simulate_start,
     simulate_tally,
 )

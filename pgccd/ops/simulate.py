@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 
-import torch
 from torch import Tensor
 
 from pgccd.ops.library import float64, int64, on_contiguous, operator
@@ -37,48 +36,6 @@ def simulate_commit(state: Sequence[Tensor], planned: Sequence[Tensor], fraction
     """Moves robots in place by `fraction` (N,) of a step, with the planned velocities, angular velocities, targets and
     stays; no effect if discard (1,) int64 is nonzero.
     """
-
-
-@operator
-def simulate_slow_all_down(
-    first: Tensor, fraction: Tensor, changed: Tensor, changes: Tensor, approach: float, smallest: float
-) -> None:
-    """Slows down robots that are about to collide, in place. fraction (N,): the part of the step that each robot moves,
-    lowered according to its first toi (N,), inf for none; changed (N,) uint8: set to 1 for robots whose fraction
-    changed; first: reset to inf; changes (1,) int64: set to 1 if any changed.
-    """
-
-
-@operator
-def simulate_first_toi(first: Tensor, robots: Tensor | None, pairs: Tensor, toi: Tensor) -> None:
-    """Lowers first (N,) in place to the toi (K,) of contacts of pairs (K, 2), which may be padded with -1. If robots
-    (C,) is given, pairs index copies, and `robots` their rows in `first`.
-    """
-
-
-@operator
-def simulate_affected_motion(
-    own: Sequence[Tensor],
-    ghosts: Sequence[Tensor],
-    fraction: Tensor,
-    changed: Tensor,
-    pairs: Tensor,
-    mesh_radius: Tensor,
-    capacity: int,
-) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """The pairs (capacity, 2), out of (P, 2) padded with -1, with a robot whose `changed` (N + G,) uint8 is 1 and two
-    different values of `fraction` (N + G,); mesh, position at t0 and t1, radius, orientation and rotation of their
-    robots, two rows per pair, each for its `fraction` of the step; and counts (7,) as of `pairs_padded`. On a GPU the
-    order is not specified, and the call does not synchronise; unused rows are not set.
-
-    own, ghosts: the first five columns of a state; rows of ghosts follow those of own robots. mesh_radius (M,): the
-    robot with id k has mesh k modulo M.
-    """
-    count = 2 * capacity
-    poses = float64(fraction, count, 3), float64(fraction, count, 3), float64(fraction, count)
-    turns = float64(fraction, count, 4), float64(fraction, count, 3)
-    mesh_index = pairs.new_empty((count,), dtype=torch.int32)
-    return int64(pairs, capacity, 2), mesh_index, *poses, *turns, int64(pairs, 7)
 
 
 @on_contiguous

@@ -55,6 +55,12 @@ class GatheredCounts(NamedTuple):
         return cls(gathered[:, 0], gathered[:, 1:].reshape(len(gathered), -1, len(COUNT_ROWS)))
 
     @property
+    def listed(self) -> tuple[int, int]:
+        """Number of pairs listed for rounds, and of those among them in the PCS, of all ranks."""
+        listed, pcs = (int(self.of_passes[:, :, COUNT_ROWS[name]].sum()) for name in ("pairs", "pairs_written"))
+        return listed, pcs
+
+    @property
     def work(self) -> Rows:
         """(ranks, 6): pairs, contacts, contacts of rounds, candidates and unresolved contacts of the whole step, and
         nanoseconds of its traversal and narrow phase."""

@@ -15,9 +15,10 @@ from pgccd.geometry.columns import bool_column
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
+from pgccd.resolution.listed import ListedSearch, is_on_arcs, is_short
 from pgccd.resolution.results import M, PaddedResolution, Resolution, union_of_pairs
 from pgccd.resolution.round_plan import RoundPlan
-from pgccd.resolution.rounds import Attempt, OneRank, resolve_collisions
+from pgccd.resolution.rounds import Attempt, OneRank, RoundSearch, resolve_collisions
 from pgccd.resolution.search import ShortenedSearch, at_rest, shortened
 from pgccd.resolution.stoppers import Stoppers
 from pgccd.resolution.trajectories import TrajectoryResolution, resolve_segments
@@ -29,7 +30,7 @@ from pgccd.search.checks import Initial, warn_of_only_body, warn_of_rounded_posi
 from pgccd.search.detect import detect_moving
 from pgccd.search.memory import CapacityEstimate
 from pgccd.search.padded import search_padded
-from pgccd.search.passes import SearchPass, find_pass
+from pgccd.search.passes import SearchPass, find_pass, pairs_of_rounds
 from pgccd.search.query import Query
 from pgccd.search.sizes import COUNT_ROWS, BufferSizes, Capacity, overflow_flags, sizes_of
 from pgccd.search.trajectories import check_trajectory
@@ -168,7 +169,9 @@ class _Plan:
     """What earlier calls for a scene needed on a GPU. It changes how often work is repeated, never the result."""
 
     pairs: CapacityEstimate
+    listed_pairs: CapacityEstimate  #: of a search that lists pairs for rounds too
     rounds: RoundPlan
+    lists: bool = True  #: whether rounds search a list, which was not too long in the last step
 
     @classmethod
     def of(cls, scene: Scene) -> _Plan:
@@ -176,7 +179,7 @@ class _Plan:
         plans = scene._capacity_estimates
         if "resolve" not in plans:
             guess = sizes_of(Capacity.of(scene.body_count, None, scene._self_colliding_vertices))
-            plans["resolve"] = cls(CapacityEstimate(), RoundPlan.of(guess))
+            plans["resolve"] = cls(CapacityEstimate(), CapacityEstimate(), RoundPlan.of(guess))
         return plans["resolve"]
 
 
@@ -190,24 +193,20 @@ class _Step:
     fixed: Tensor | None  #: (N,) bool: bodies that may not be stopped
 
     def resolve(self, motion: M) -> Resolution[M]:
-        bodies, scene, query = self.bodies, self.bodies.scene, self.query
+        bodies, scene = self.bodies, self.bodies.scene
         plan = _Plan.of(scene)
         first_invalid_rows = bodies._first_invalid_rows()
         invalid_rows = HostCopy.start(first_invalid_rows)
-        search_pass = find_pass(bodies, query, self.broad_phase, estimate=plan.pairs)
-        stoppers, search = self._search(motion, may_wait=True)
+        search = self._search(motion, plan)
+        search_pass, stoppers = search.passes[0], Stoppers(scene.body_count, scene.device)
+        clock = StageClock()
         resolved = resolve_collisions(
-            [search_pass],
-            scene.body_count,
-            search,
-            plan.rounds,
-            _nothing,
-            StageClock(),
-            fixed=self.fixed,
-            stoppers=stoppers,
+            search, scene.body_count, plan.rounds, _nothing, clock, fixed=self.fixed, stoppers=stoppers
         )
         bodies._raise_invalid(invalid_rows.numpy().tolist())
         resolved.learn()
+        if isinstance(search, ListedSearch) and bodies.device.type != "cpu":
+            plan.lists = is_short(*resolved.listed)
         fraction, contacts = resolved.resolution.fraction, search_pass.find()
         assert isinstance(contacts, Contacts)
         touching = contacts.pairs[contacts.toi == 0.0]
@@ -229,9 +228,10 @@ class _Step:
         )
         search_pass = SearchPass(query, bodies, pairs, counts, capacity=capacity)
         search_pass.start()
-        stoppers, search = self._search(motion, may_wait=False)
+        stoppers = Stoppers(scene.body_count, scene.device)
+        search = self._shortened_search(motion, [search_pass], may_wait=False)
         plan = RoundPlan.of(capacity)
-        attempt = Attempt([search_pass], scene.body_count, search, plan, OneRank(), StageClock(), self.fixed, stoppers)
+        attempt = Attempt(search, scene.body_count, plan, OneRank(), StageClock(), self.fixed, stoppers)
         first_change = attempt.begin()
         more_changes, of_rounds = attempt.make_rounds(rounds)
         changes = torch.cat([first_change, more_changes])
@@ -262,13 +262,41 @@ class _Step:
             _validation=bodies._validation,
         )
 
-    def _search(self, motion: RigidMotion | VertexMotion, may_wait: bool) -> tuple[Stoppers, ShortenedSearch]:
-        bodies, scene = self.bodies, self.bodies.scene
-        stoppers = Stoppers(scene.body_count, scene.device)
-        search = ShortenedSearch(
-            scene, motion, self.query, self.broad_phase, bodies._first_invalid_rows()[-1:], stoppers, may_wait
+    def _search(self, motion: RigidMotion | VertexMotion, plan: _Plan) -> RoundSearch:
+        if plan.lists and is_on_arcs(motion):
+            return self._listed_search(motion, plan)
+        search_pass = find_pass(self.bodies, self.query, self.broad_phase, estimate=plan.pairs)
+        return self._shortened_search(motion, [search_pass], may_wait=True)
+
+    def _shortened_search(
+        self, motion: RigidMotion | VertexMotion, passes: list[SearchPass], may_wait: bool
+    ) -> ShortenedSearch:
+        bodies = self.bodies
+        invalid = bodies._first_invalid_rows()[-1:]
+        return ShortenedSearch(passes, bodies.scene, motion, self.query, self.broad_phase, invalid, may_wait)
+
+    def _listed_search(self, motion: RigidMotion, plan: _Plan) -> ListedSearch:
+        """On a GPU the list is found with the pairs of the whole step; on a CPU in the first round, if there is one."""
+        bodies, query, on_cpu = self.bodies.stoppable(), self.query, self.bodies.device.type == "cpu"
+        search_pass = find_pass(
+            self.bodies if on_cpu else bodies,
+            query,
+            self.broad_phase,
+            estimate=plan.listed_pairs,
+            at_any_times=not on_cpu,
         )
-        return stoppers, search
+
+        def list_pairs() -> Tensor | None:
+            if not on_cpu:
+                return pairs_of_rounds([search_pass])
+            chosen, given = broad.choose(bodies, self.broad_phase), (query.min_separation, query.tolerance)
+            pairs = broad.find_pairs_of_checked(bodies, given[0], chosen, given[1], at_any_times=True)
+            plan.lists = is_short(len(pairs), len(search_pass.pairs))
+            return pairs if plan.lists else None
+
+        meshes = bodies.scene.meshes
+        shortened_search = self._shortened_search(motion, [search_pass], may_wait=True)
+        return ListedSearch([search_pass], meshes, bodies.tensors, None, list_pairs, query, otherwise=shortened_search)
 
     @property
     def _any(self) -> Query:

@@ -1,4 +1,6 @@
-"""How many rounds of collision resolution are enqueued before the host reads a result, and their capacities."""
+"""How many rounds of collision resolution are enqueued, or captured, before the host reads a result; and their
+capacities.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +15,12 @@ _FIRST_ROUNDS = 4
 _RECENT_STEPS = 8
 # Capacity relative to what a round needed in the last step.
 _SLACK = 2.0
+
+# A graph has more rounds of collision resolution than any recent step took: the step that needs one more is repeated,
+# and another graph captured, which takes as long as several hundred superfluous rounds.
+_STEPS_OF_GRAPH, _SPARE_ROUNDS = 512, 1
+# Steps from which the usual number of rounds is taken: fewer, since it grows in the first hundred steps.
+_USUAL_STEPS = 16
 
 
 class RoundPlan:
@@ -56,3 +64,31 @@ class RoundPlan:
         """Records a step's rounds. The capacities are computed in the next step, while the host is idle."""
         self._recent.append(rounds)
         self._needed = needed
+
+
+class RecentRounds:
+    """Numbers of rounds of collision resolution in recent steps: a graph has more than any of them took."""
+
+    def __init__(self) -> None:
+        self._rounds: deque[int] = deque(maxlen=_STEPS_OF_GRAPH)
+
+    def note(self, rounds: int) -> None:
+        """Records the rounds of a step."""
+        self._rounds.append(rounds)
+
+    @property
+    def to_capture(self) -> int:
+        """Rounds of a graph."""
+        return max(self._rounds) + _SPARE_ROUNDS
+
+    @property
+    def usual(self) -> int:
+        """Rounds that three of four recent steps needed. A conditional part of a graph costs a third as much as a
+        superfluous round.
+        """
+        recent = sorted(list(self._rounds)[-_USUAL_STEPS:])
+        return recent[len(recent) // 4]
+
+    def need_fewer_than(self, rounds: int) -> bool:
+        """Whether a graph with so many rounds has more than needed."""
+        return len(self._rounds) == _STEPS_OF_GRAPH and self.to_capture < rounds

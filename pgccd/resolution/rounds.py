@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cache, partial
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import torch
@@ -26,7 +26,7 @@ from pgccd.resolution.stoppers import Stoppers
 from pgccd.runtime.graph import conditional
 from pgccd.runtime.host_copy import HostCopy
 from pgccd.runtime.stages import StageClock
-from pgccd.search.passes import SearchPass, pairs_of_rounds, search_seconds
+from pgccd.search.passes import SearchPass, search_seconds
 from pgccd.search.sizes import COUNT_ROWS, BufferSizes, Counts
 
 # Rounds added at a time if those of the plan do not suffice.
@@ -61,30 +61,69 @@ class ResolvedStep:
     resolution: Fractions
     work: Rows  #: (ranks, 6), see `GatheredCounts.work`
     summaries: Rows  #: (ranks, k): the values of `summarise` of each rank
+    listed: tuple[int, int]  #: `GatheredCounts.listed`
     #: Updates the capacity estimates for the next step; deferred, so that the next step can be enqueued first.
     learn: Callable[[], None]
 
 
-class RoundSearch(Protocol):
-    """Detection in rounds: among bodies that have changed, and between them and all others."""
+class Found(NamedTuple):
+    """First contacts of K pairs of bodies; rows of -1 are padding, or bodies that this rank does not resolve."""
 
-    def look_among(self, pairs: Tensor) -> None:
-        """Takes note of the `pairs_of_rounds` (P, 2) of the step, found again since they had exceeded their
-        capacity.
-        """
+    rows: Tensor  #: (K, 2) int64
+    id: Tensor  #: (K, 2) int64: how `Stoppers` name the bodies
+    toi: Tensor  #: (K,) float64
+
+
+def found_by(passes: Sequence[SearchPass], id: Tensor | None = None) -> list[Found]:
+    """The first contacts of passes of report="first"; given the ids (N,) of the step's bodies, if they are not their
+    rows. Does not synchronise.
+    """
+    found = [search_pass.first_contacts() for search_pass in passes]
+    return [Found(pairs, pairs if id is None else ids_of(id, pairs), toi) for pairs, toi in found]
+
+
+def ids_of(id: Tensor, rows: Tensor) -> Tensor:
+    """The ids (N,) of rows (K, 2); -1 for -1."""
+    return torch.where(rows < 0, -1, id[rows])
+
+
+class RoundSearch(Protocol):
+    """The searches of a step that is resolved: of the whole step, and in rounds, among bodies that have changed, and
+    between them and all others.
+    """
+
+    @property
+    def passes(self) -> Sequence[SearchPass]:
+        """Of the whole step's pairs, for first contacts; the same number on all ranks."""
         ...
 
-    def start_round(self, changed: Tensor, fraction: Tensor, capacity: BufferSizes, first: Tensor) -> Tensor:
-        """Lowers the first toi of bodies in contact. On a GPU does not synchronise, unless memory is short.
+    @property
+    def waits(self) -> bool:
+        """Whether a round waits for its result, so that no superfluous one is started."""
+        ...
+
+    def find_whole(self) -> list[Found]:
+        """The contacts of the whole step."""
+        ...
+
+    def look_again(self) -> None:
+        """Takes note that the passes have found their pairs again, since they had exceeded their capacity."""
+        ...
+
+    def find_round(
+        self, changed: Tensor, fraction: Tensor, capacity: BufferSizes, first: Tensor
+    ) -> tuple[list[Found], Tensor]:
+        """Searches a round. On a GPU does not synchronise, unless memory is short or it `waits`.
 
         Args:
             changed: (N,) uint8.
-            fraction: (N,) float64: the part of the step that each body moves.
+            fraction: (N,) float64: the part of its path that each body moves.
             capacity: of the round on a GPU; on a CPU sizes are exact.
-            first: (N,) float64: first toi, relative to the part that each body moves; lowered in place.
+            first: (N,) float64: first toi, relative to the part that each body moves. Lowered in place instead, if
+                contacts are not listed.
 
         Returns:
-            (22,) int64 on the device: `pgccd.search.sizes.Counts`.
+            The contacts; and (22,) int64 on the device: `pgccd.search.sizes.Counts`.
         """
         ...
 
@@ -113,6 +152,10 @@ class Exchange(Protocol):
         """values (k,) -> (ranks, k): those of every rank."""
         ...
 
+    def any(self, value: Tensor) -> bool:
+        """Whether value (1,) is nonzero on any rank. Synchronises."""
+        ...
+
 
 class OneRank:
     """The exchange of a single rank."""
@@ -125,6 +168,9 @@ class OneRank:
     def gather(self, values: Tensor) -> Tensor:
         return values[None]
 
+    def any(self, value: Tensor) -> bool:
+        return bool(value)
+
 
 #: Completes a step and summarises it, given the fractions (N,) float64 that the bodies move: returns (k,) int64 values
 #: for all ranks. A later call with other fractions replaces the first.
@@ -132,9 +178,8 @@ Summarise = Callable[[Tensor], Tensor]
 
 
 def resolve_collisions(
-    passes: Sequence[SearchPass],
-    body_count: int,
     search: RoundSearch,
+    body_count: int,
     plan: RoundPlan,
     summarise: Summarise,
     clock: StageClock,
@@ -143,15 +188,14 @@ def resolve_collisions(
     stoppers: Stoppers | None = None,
     stopping_round: int = STOPPING_ROUND,
 ) -> ResolvedStep:
-    """Finds the part of the step that each body moves.
+    """Finds the part of its path that each body moves.
 
-    The host synchronises once, unless there are more rounds than in recent steps or a capacity was exceeded. All ranks
-    make the same decision.
+    The host synchronises once, unless there are more rounds than in recent steps, a capacity was exceeded, or the
+    search waits. All ranks make the same decision.
 
     Args:
-        passes: of the whole step's pairs, searched for first contacts; the same number on all ranks.
+        search: of the whole step and of rounds.
         body_count: number of bodies N.
-        search: searches the rounds.
         plan: number of rounds enqueued without waiting, and their capacities.
         summarise: see `Summarise`.
         clock: records stage times.
@@ -162,15 +206,14 @@ def resolve_collisions(
     """
     exchange = exchange or OneRank()
     clock.add({"traverse": 0.0, "narrow": 0.0})  # lists the stages in the order of work
-    for search_pass in passes:
+    for search_pass in search.passes:
         search_pass.begin()
     while True:
-        attempt = Attempt(passes, body_count, search, plan, exchange, clock, fixed, stoppers, stopping_round)
+        attempt = Attempt(search, body_count, plan, exchange, clock, fixed, stoppers, stopping_round)
         resolved = attempt.run(summarise)
         if resolved is not None:
             return resolved
-        # The pairs may have exceeded their capacity.
-        search.look_among(pairs_of_rounds(passes))
+        search.look_again()
 
 
 @dataclass(eq=False)
@@ -180,9 +223,8 @@ class Attempt:
     Arguments as for `resolve_collisions`.
     """
 
-    passes: Sequence[SearchPass]
-    body_count: int
     search: RoundSearch
+    body_count: int
     plan: RoundPlan
     exchange: Exchange
     clock: StageClock
@@ -191,8 +233,9 @@ class Attempt:
     stopping_round: int = STOPPING_ROUND
 
     def __post_init__(self) -> None:
+        self.passes = self.search.passes
         self._device = self.passes[0].bodies.device
-        self._bodies = SlowedBodies(self.body_count, self._device, self.fixed, self.stoppers, self.stopping_round)
+        self._bodies = SlowedBodies(self.body_count, self._device, self.fixed, self.stopping_round)
         #: Capacity of each round.
         self.capacities: list[BufferSizes] = []
         if self.stoppers is not None:
@@ -209,13 +252,7 @@ class Attempt:
         """
         if change is None:
             change = torch.zeros(1, dtype=torch.int64, device=self._device)
-        found = [search_pass.first_contacts() for search_pass in self.passes]
-        for pairs, toi in found:
-            ops.simulate_first_toi(self._bodies.first, None, pairs, toi)
-        if self.stoppers is not None:
-            for pairs, toi in found:
-                self.stoppers.find(pairs, toi, self._bodies.first)
-        self._slow_down(0, change)
+        self._slow_down(0, self.search.find_whole(), change)
         return change
 
     def make_rounds(self, count: int) -> tuple[Tensor, list[Tensor]]:
@@ -253,16 +290,29 @@ class Attempt:
         capacity = self.plan.capacity(len(self.capacities))
         self.capacities.append(capacity)
         bodies = self._bodies
-        counts = self.search.start_round(bodies.changed, bodies.fraction, capacity, bodies.first)
-        found = counts[_CONTACTS : _CONTACTS + 1] if anywhere is not None else None
-        self._slow_down(len(self.capacities), change, found, anywhere)
+        found, counts = self.search.find_round(bodies.changed, bodies.fraction, capacity, bodies.first)
+        number = counts[_CONTACTS : _CONTACTS + 1] if anywhere is not None else None
+        self._slow_down(len(self.capacities), found, change, number, anywhere)
         return counts
 
     def _slow_down(
-        self, round: int, change: Tensor, found: Tensor | None = None, anywhere: Tensor | None = None
+        self,
+        round: int,
+        contacts: list[Found],
+        change: Tensor,
+        found: Tensor | None = None,
+        anywhere: Tensor | None = None,
     ) -> None:
-        self.exchange.share(self._bodies.first, found, anywhere)
-        self._bodies.slow_down(round, change)
+        bodies, stoppers = self._bodies, self.stoppers
+        for rows, _, toi in contacts:
+            ops.resolve_first_toi(bodies.first, rows, toi)
+        self.exchange.share(bodies.first, found, anywhere)
+        if stoppers is not None:
+            for rows, id, toi in contacts:
+                stoppers.find(rows, id, toi, bodies.first)
+        bodies.slow_down(round, change)
+        if stoppers is not None:
+            stoppers.note(bodies.changed)
 
     def run(self, summarise: Summarise) -> ResolvedStep | None:
         """Runs all rounds; None, on all ranks, if a rank exceeded a capacity, which has then grown."""
@@ -270,8 +320,8 @@ class Attempt:
         with clock.stage("respond"):
             changes = self.begin()
             # A single rank on the CPU can read the result of each round.
-            at_sight = exchange.ranks == 1 and self._device.type == "cpu"
-            more = int(changes) if at_sight else self.plan.rounds_to_enqueue
+            reads_each = self.search.waits or (exchange.ranks == 1 and self._device.type == "cpu")
+            more = int(exchange.any(changes)) if reads_each else self.plan.rounds_to_enqueue
         went_on: list[bool] = []  # for each round: whether a body had changed on any rank before it
         made: list[NDArray[np.int64]] = []  # counts of this rank, for each round
         secondary_contacts = np.zeros(exchange.ranks, dtype=np.int64)
@@ -279,7 +329,7 @@ class Attempt:
             with clock.stage("respond"):
                 more_changes, counts = self.make_rounds(more)
                 changes = torch.cat([changes, more_changes])
-                while at_sight and int(changes[-1]):
+                while reads_each and more and exchange.any(changes[-1:]):
                     one_change, one_count = self.make_rounds(1)
                     changes, counts = torch.cat([changes, one_change]), counts + one_count
             searched = SearchCounts(
@@ -306,7 +356,7 @@ class Attempt:
                 self.plan.learn(rounds, partial(_needed, made[:rounds], self.capacities))
                 resolution = Fractions(self.fraction, rounds, int(secondary_contacts[exchange.rank]))
                 work = gathered._replace(secondary_contacts=secondary_contacts).work
-                return ResolvedStep(resolution, work, numbers[:, end:], self._learning(of_passes))
+                return ResolvedStep(resolution, work, numbers[:, end:], gathered.listed, self._learning(of_passes))
             more, changes = _MORE_ROUNDS, changes[:0]
 
     def _grow(self, of_passes: NDArray[np.int64], of_rounds: list[NDArray[np.int64]], first_round: int) -> None:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from pgccd import ops
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
-from pgccd.resolution.stoppers import Stoppers
+from pgccd.resolution.rounds import Found, found_by
 from pgccd.search import broad
 from pgccd.search.bodies import MovingBodies
 from pgccd.search.memory import memory_limit
@@ -26,38 +26,42 @@ class ShortenedSearch:
     bodies at the same time, and a body that has stopped meets others later than on its whole path.
 
     Args:
+        passes: of the whole step.
         scene, motion: the bodies and their whole step.
         query: options of the search: first contacts.
         broad_phase: as for `detect`.
         invalid: (1,) int64 on the device: nonzero if the bodies are invalid; no pairs are then searched.
-        stoppers: takes note of the contacts.
         may_wait: whether rounds may synchronise: with exact sizes on a CPU, and on a GPU where memory is short.
             Otherwise sizes are those of the given capacity.
     """
 
+    passes: Sequence[SearchPass]
     scene: Scene
     motion: RigidMotion | VertexMotion
     query: Query
     broad_phase: broad.BroadPhase
     invalid: Tensor
-    stoppers: Stoppers
     may_wait: bool
+    waits = False
 
-    def look_among(self, pairs: Tensor) -> None:
+    def find_whole(self) -> list[Found]:
+        """As of `RoundSearch`."""
+        return found_by(self.passes)
+
+    def look_again(self) -> None:
         """Every round finds its own pairs."""
 
-    def start_round(self, changed: Tensor, fraction: Tensor, capacity: BufferSizes, first: Tensor) -> Tensor:
-        """As `RoundSearch.start_round`."""
+    def find_round(
+        self, changed: Tensor, fraction: Tensor, capacity: BufferSizes, first: Tensor
+    ) -> tuple[list[Found], Tensor]:
+        """As of `RoundSearch`."""
         motion = shortened(self.scene, self.motion, fraction)
         motion._is_trusted = True  # it is checked with the whole step
         bodies = MovingBodies.of(self.scene, motion, wait=False)
-        made = self._exactly(bodies, changed) if self._waits(capacity) else self._within(bodies, changed, capacity)
-        pairs, toi = made.first_contacts()
-        ops.simulate_first_toi(first, None, pairs, toi)
-        self.stoppers.find(pairs, toi, first)
-        return made.counts()
+        made = self._exactly(bodies, changed) if self._must_wait(capacity) else self._within(bodies, changed, capacity)
+        return found_by([made]), made.counts()
 
-    def _waits(self, capacity: BufferSizes) -> bool:
+    def _must_wait(self, capacity: BufferSizes) -> bool:
         if not self.may_wait:
             return False
         device = self.scene.device

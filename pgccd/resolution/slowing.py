@@ -4,7 +4,6 @@ import torch
 from torch import Tensor
 
 from pgccd import ops
-from pgccd.resolution.stoppers import Stoppers
 
 # A body moves by this fraction of its toi: at the toi itself it may be within the tolerance of contact, which the next
 # step would report again.
@@ -23,7 +22,6 @@ class SlowedBodies:
         body_count: number of bodies N.
         device: of the bodies.
         fixed: (N,) bool: bodies that move by their whole step, whatever they meet; default: none.
-        stoppers: takes note of which body stopped which.
         stopping_round: from this round on a colliding body does not move at all.
     """
 
@@ -32,7 +30,6 @@ class SlowedBodies:
         body_count: int,
         device: torch.device,
         fixed: Tensor | None = None,
-        stoppers: Stoppers | None = None,
         stopping_round: int = STOPPING_ROUND,
     ) -> None:
         #: (N,) float64: the part of the step that each body moves.
@@ -41,11 +38,7 @@ class SlowedBodies:
         self.first = torch.full_like(self.fraction, torch.inf)
         #: (N,) uint8: bodies that the last round slowed down.
         self.changed = torch.ones(body_count, dtype=torch.uint8, device=device)
-        self._fixed, self._stoppers, self._stopping_round = fixed, stoppers, stopping_round
-
-    def lower(self, body: Tensor, toi: Tensor) -> None:
-        """Lowers `first` of the bodies (K,), rows or -1 for none, to toi (K,)."""
-        ops.simulate_first_toi(self.first, None, body[:, None].expand(-1, 2).contiguous(), toi)
+        self._fixed, self._stopping_round = fixed, stopping_round
 
     def slow_down(self, round: int, change: Tensor) -> None:
         """Slows down the bodies that have a `first` toi, which is reset, and sets `change` (1,) int64 to nonzero if
@@ -58,6 +51,4 @@ class SlowedBodies:
         if self._fixed is not None:
             self.first.masked_fill_(self._fixed, torch.inf)
         smallest = _SMALLEST_PART if round < self._stopping_round else torch.inf
-        ops.simulate_slow_all_down(self.first, self.fraction, self.changed, change, _APPROACH, smallest)
-        if self._stoppers is not None:
-            self._stoppers.note(self.changed)
+        ops.resolve_slow_down(self.first, self.fraction, self.changed, change, _APPROACH, smallest)

@@ -7,7 +7,7 @@ _NOBODY = torch.iinfo(torch.int64).max
 
 
 class Stoppers:
-    """For each body, the one whose contact lowered its fraction last; of several at equal times the smallest index.
+    """For each body, the one whose contact lowered its fraction last; of several at equal times the smallest id.
 
     Args:
         body_count: number of bodies N.
@@ -15,7 +15,8 @@ class Stoppers:
     """
 
     def __init__(self, body_count: int, device: torch.device) -> None:
-        #: (N,) int64: -1 for bodies that nothing stopped, i for a body stopped by itself.
+        #: (N,) int64: id; -1 for bodies that nothing stopped, its own for a body stopped by itself. Of several ranks
+        #: that hold a body, those that did not find its contact have a larger number than any id.
         self.by = torch.full((body_count,), -1, dtype=torch.int64, device=device)
         # Those of the contacts of the current round; _NOBODY: none. The last row belongs to padding.
         self._next = torch.full((body_count + 1,), _NOBODY, dtype=torch.int64, device=device)
@@ -25,27 +26,19 @@ class Stoppers:
         self.by.fill_(-1)
         self._next.fill_(_NOBODY)
 
-    def find(self, pairs: Tensor, toi: Tensor, first: Tensor) -> None:
+    def find(self, rows: Tensor, id: Tensor, toi: Tensor, first: Tensor) -> None:
         """Looks for the first contact of each body among those of a round.
 
         Args:
-            pairs, toi: (K, 2) and (K,) of the contacts; padding has pairs of -1.
+            rows, id, toi: (K, 2), (K, 2) and (K,) of the contacts; the rows of others' bodies and padding are -1.
             first: (N,) the first toi of each body, in this round.
         """
-        for body, other in (pairs.unbind(1), pairs.flip(1).unbind(1)):
-            self.find_of(body, other, toi, first)
-
-    def find_of(self, body: Tensor, other: Tensor, toi: Tensor, first: Tensor) -> None:
-        """The same for one body of each contact.
-
-        Args:
-            body, other: (K,) its row, -1 for none; and the index of the other body, which may be counted differently.
-            toi, first: as for `find`.
-        """
         count = len(self.by)
-        row = torch.where(body < 0, count, body)
-        is_first = torch.cat([first, first.new_full((1,), -torch.inf)])[row] == toi
-        self._next.scatter_reduce_(0, torch.where(is_first, row, count), other, "amin")
+        toi_of_row = torch.cat([first, first.new_full((1,), -torch.inf)])
+        for body, other in zip(rows.unbind(1), id.flip(1).unbind(1), strict=True):
+            row = torch.where(body < 0, count, body)
+            is_first = toi_of_row[row] == toi
+            self._next.scatter_reduce_(0, torch.where(is_first, row, count), other, "amin")
         self._next[count:].fill_(_NOBODY)  # assigning a number copies it from the host, which a graph cannot
 
     def note(self, changed: Tensor) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
 
 import torch
@@ -148,6 +149,26 @@ class MovingBodies:
         """`centre_t0`, `centre_t1` and `reach`."""
         return self.centre_t0, self.centre_t1, self.reach
 
+    def stoppable(self) -> MovingBodies:
+        """The same rigid bodies, with spheres that contain them wherever on their way they are stopped or slowed down:
+        a shortened path is rounded (docs/explanation/exactness.md, section 12). Spheres about origins do already.
+        """
+        if self.scene.meshes.is_centred:
+            return self
+        start, end, rotation = self.tensors[1], self.tensors[2], self.tensors[5]
+        furthest = torch.maximum(start.abs(), end.abs()).amax(1)
+        turn, arm = (_sum_of_three(v.abs()) for v in (rotation, self.centre_t0 - start))
+        # Absent bodies have a reach of -inf, which 0 would turn into NaN.
+        stray = 2.0**-48 * furthest + 2.0**-51 * turn * (self.reach.clamp(min=0.0) + arm)
+        grown = copy.copy(self)
+        grown.reach = (self.reach + stray) * (1.0 + 2.0**-50)
+        return grown
+
+    @property
+    def boxes_at_any_times(self) -> Tensor | None:
+        """`boxes`, if they contain bodies that are stopped or slowed down anywhere on their way."""
+        return self.boxes if self.scene.meshes.is_centred else None
+
     def _first_invalid_rows(self) -> Tensor:
         """(F,) int64: for each check the first invalid row, or a number past the last row; then 1 if any row is
         invalid, else 0. Computed once and cached.
@@ -271,6 +292,12 @@ def _swept_spheres(
     if scene.margin is not None:
         reach = (reach + scene.margin) * (1.0 + 2.0**-50)
     return centre_t0, centre_t1, reach
+
+
+def _sum_of_three(v: Tensor) -> Tensor:
+    """(N,): the sum of the columns of (N, 3), rounded alike on all devices."""
+    x, y, z = v.unbind(1)
+    return x + y + z
 
 
 def _moving_boxes(scene: Scene, tensors: list[Tensor], deforming: bool, linear_path: bool) -> Tensor | None:

@@ -154,6 +154,7 @@ def find_pairs_padded(
         elsewhere: (N,) uint8, nonzero for bodies whose pairs with each other are found elsewhere, and left out here.
         at_any_times: whether to return all pairs that may come so near at two times, equal or not, each of one body:
             those that may collide if bodies are stopped or slowed down anywhere on their way. The PCS is among them.
+            The bodies are `MovingBodies.stoppable`.
 
     Returns:
         (capacity.pairs, 2) int64, the pairs first, then rows of -1; and counts (7,) int64: the first seven of
@@ -170,7 +171,7 @@ def find_pairs_padded(
         number,
         [max(0, pair_capacity - own), *rest],
         at_any_times,
-        bodies.boxes,
+        bodies.boxes_at_any_times if at_any_times else bodies.boxes,
     )
     if own:
         added = own * (invalid[0] == 0)
@@ -223,7 +224,8 @@ def find_pairs_of_checked(
     `find_pairs_padded`.
     """
     lengths, number = _lengths(min_separation, tolerance), BROAD_PHASE_NUMBERS[chosen]
-    pairs = ops.broad_pairs(*_columns(bodies), elsewhere, *lengths, number, axis, at_any_times, bodies.boxes)
+    boxes = bodies.boxes_at_any_times if at_any_times else bodies.boxes
+    pairs = ops.broad_pairs(*_columns(bodies), elsewhere, *lengths, number, axis, at_any_times, boxes)
     pairs = with_self_pairs(bodies, pairs)
     return pairs if bodies.scene.exclude is None else pairs[_is_tested(bodies, pairs)]
 

@@ -135,7 +135,11 @@ class SearchPass:
         """(22,) int64 on the device: `Counts` of the contacts that `first_contacts` returns."""
         if self._contacts is None:
             return self.start().counts[: len(COUNT_ROWS)]
-        return _counts_of(self._contacts.stats).to(self.pairs.device)
+        counts = _counts_of(self._contacts.stats)
+        if self.swept_pairs is not None:
+            listed = len(self.swept_pairs) if self._counts is None else self._counts.pairs
+            counts[COUNT_ROWS["pairs"]] = listed
+        return counts.to(self.pairs.device)
 
     def in_step(self, pairs: Tensor) -> Tensor:
         """Maps rows of `bodies` (K, 2), which may be -1, to rows of the step's bodies."""

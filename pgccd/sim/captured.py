@@ -2,7 +2,6 @@
 and the poses are valid; otherwise `pgccd.sim.Simulation` runs it eagerly.
 """
 
-from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,57 +16,21 @@ from pgccd import ops
 from pgccd.distributed.partition.balance import RankLoads
 from pgccd.resolution.counts import GatheredCounts, Rows, SearchCounts
 from pgccd.resolution.round_plan import RoundPlan
-from pgccd.resolution.rounds import Attempt, Exchange
+from pgccd.resolution.rounds import Attempt, Exchange, RoundSearch
 from pgccd.runtime.stages import StageClock
 from pgccd.runtime.transaction import TransactionGraph
-from pgccd.search.passes import SearchPass, first_contacts_of
+from pgccd.search.passes import first_contacts_of
 from pgccd.search.sizes import Counts
 from pgccd.sim.model import PLANNED, Model, RobotState
-from pgccd.sim.partners import Partners
 from pgccd.sim.reports import Reports
 from pgccd.sim.tally import Tally, count_step
-
-# A graph has more rounds of collision resolution than any recent step took: the step that needs one more is repeated,
-# and another graph captured, which takes as long as several hundred superfluous rounds.
-_RECENT_STEPS, _SPARE_ROUNDS = 512, 1
-# Steps from which the usual number of rounds is taken: fewer, since it grows in the first hundred steps.
-_USUAL_STEPS = 16
-
-
-class RecentRounds:
-    """Numbers of rounds of collision resolution in recent steps: a graph has more than any of them took."""
-
-    def __init__(self) -> None:
-        self._rounds: deque[int] = deque(maxlen=_RECENT_STEPS)
-
-    def note(self, rounds: int) -> None:
-        """Records the rounds of a step."""
-        self._rounds.append(rounds)
-
-    @property
-    def to_capture(self) -> int:
-        """Rounds of a graph."""
-        return max(self._rounds) + _SPARE_ROUNDS
-
-    @property
-    def usual(self) -> int:
-        """Rounds that three of four recent steps needed. A conditional part of a graph costs a third as much as a
-        superfluous round.
-        """
-        recent = sorted(list(self._rounds)[-_USUAL_STEPS:])
-        return recent[len(recent) // 4]
-
-    def need_fewer_than(self, rounds: int) -> bool:
-        """Whether a graph with so many rounds has more than needed."""
-        return len(self._rounds) == _RECENT_STEPS and self.to_capture < rounds
 
 
 @dataclass(frozen=True)
 class Searches:
     """The searches of one rank in a step, enqueued in fixed capacities."""
 
-    passes: Sequence[SearchPass]
-    partners: Partners
+    rounds: RoundSearch
     id: Tensor  #: (H,) int64 ids of the held robots, those of the state first; negative for padding
     exchange: Exchange
     failed: Sequence[Tensor]  #: (1,) int64, nonzero if poses are invalid or a capacity between ranks was exceeded
@@ -189,9 +152,8 @@ class StepGraph(TransactionGraph[CommittedStep]):
         searches = self._search(planned, self._failed)
         exchange, robots = searches.exchange, len(searches.id)
         attempt = Attempt(
-            searches.passes,
+            searches.rounds,
             robots,
-            searches.partners,
             self._plan,
             exchange,
             StageClock(),
@@ -199,7 +161,7 @@ class StepGraph(TransactionGraph[CommittedStep]):
         )
         # If the last of the changes is nonzero, more rounds are needed.
         changes, of_rounds = attempt.run_replay(self.rounds, self._usual_rounds)
-        counts = SearchCounts([search_pass.counts() for search_pass in searches.passes], of_rounds)
+        counts = SearchCounts([search_pass.counts() for search_pass in searches.rounds.passes], of_rounds)
         failed = torch.cat([self._failed, changes[-1:], *counts.overflow(), *searches.failed]).sum().reshape(1)
         outcome = exchange.gather(torch.cat([failed, changes]))
         anywhere = failed if exchange.ranks == 1 else outcome[:, 0].amax(dim=0, keepdim=True)
@@ -207,10 +169,10 @@ class StepGraph(TransactionGraph[CommittedStep]):
         fraction = attempt.fraction[: len(state)]
         plan = [getattr(planned, name) for name in PLANNED]
         ops.simulate_commit(list(state.columns.values()), plan, fraction, self._failed)
-        counted = count_step(state, fraction, searches.id, *first_contacts_of(searches.passes))
+        counted = count_step(state, fraction, searches.id, *first_contacts_of(searches.rounds.passes))
         summary = [counted, self._summarise(searches, state)]
         self._index += 1 - self._failed
-        self._passes, self._rank = len(searches.passes), exchange.rank
+        self._passes, self._rank = len(searches.rounds.passes), exchange.rank
         values = [*counts.values(), *summary]
         if exchange.ranks == 1:
             return torch.cat([outcome[0], *values])[None]

@@ -20,7 +20,7 @@ Pattern = Literal["random", "skewed"]
 PATTERNS: tuple[Pattern, ...] = get_args(Pattern)
 #: The columns that a plan changes, in the order of `ops.simulate_plan` and `ops.simulate_commit`.
 PLANNED = ("velocity", "angular_velocity", "target", "stay_until")
-# In the order of `ops.simulate_affected_motion`.
+# They define the motion of a planned step.
 _MOVING = ("id", "position", "orientation", "velocity", "angular_velocity")
 
 
@@ -268,33 +268,6 @@ class Model:
         motion = RigidMotion._of_checked(state.position, state.orientation, state.position + velocity, spin)
         motion._is_trusted = False
         return motion
-
-    def affected_pairs(
-        self,
-        own: Sequence[Tensor],
-        ghosts: Sequence[Tensor],
-        fraction: Tensor,
-        changed: Tensor,
-        pairs: Tensor,
-        capacity: int,
-    ) -> tuple[Tensor, tuple[Tensor, ...], Tensor]:
-        """Pairs with a robot that has changed, of robots that move by different fractions, each with its own copies of
-        both robots. Does not synchronise.
-
-        Args:
-            own, ghosts: `moving_columns` of planned states; rows of ghosts follow those of own robots.
-            fraction: (N + G,) of the step that each robot moves.
-            changed: (N + G,) uint8.
-            pairs: (P, 2) int64 rows; may be padded with -1.
-            capacity: number of rows of the result.
-
-        Returns:
-            The pairs (capacity, 2), on a GPU in any order; `MovingBodies.tensors` for 2 capacity bodies, of which 2 k
-            and 2 k + 1 are the robots of pair k; and counts (7,), the first of `Counts`. Unused rows are not set.
-        """
-        radius = self.meshes.radius
-        found, *bodies, counts = ops.simulate_affected_motion(own, ghosts, fraction, changed, pairs, radius, capacity)
-        return found, tuple(bodies), counts
 
     def scene(self, id: Tensor) -> Scene:
         """The scene of the robots `id` (N,) int64."""

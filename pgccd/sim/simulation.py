@@ -10,6 +10,7 @@ from torch import Tensor
 from pgccd.contacts.contacts import Contacts
 from pgccd.distributed.comm.exchange import Columns, take_rows
 from pgccd.distributed.comm.interface import Comm
+from pgccd.distributed.detection.held_exchange import HeldExchange
 from pgccd.distributed.detection.options import SearchOptions
 from pgccd.distributed.detection.share import Share, search_share
 from pgccd.distributed.guard import collective
@@ -22,7 +23,8 @@ from pgccd.distributed.steps.rank import Rank, can_replay
 from pgccd.distributed.steps.replayed import RankSteps
 from pgccd.geometry.scene import Scene
 from pgccd.resolution.counts import GatheredCounts
-from pgccd.resolution.round_plan import RoundPlan
+from pgccd.resolution.listed import ListedSearch
+from pgccd.resolution.round_plan import RecentRounds, RoundPlan
 from pgccd.resolution.rounds import resolve_collisions
 from pgccd.runtime.replayed_steps import GRAPH_SLACK
 from pgccd.runtime.stages import StageClock
@@ -30,15 +32,18 @@ from pgccd.runtime.transaction import Replay
 from pgccd.search.bodies import MovingBodies
 from pgccd.search.broad import BroadPhase
 from pgccd.search.passes import pairs_of_rounds
-from pgccd.sim.captured import CommittedStep, RecentRounds, Searches, StepGraph
-from pgccd.sim.held_exchange import HeldExchange
+from pgccd.search.query import Query
+from pgccd.sim.captured import CommittedStep, Searches, StepGraph
 from pgccd.sim.model import Model, RobotState
-from pgccd.sim.partners import FIRST_CONTACTS, Partners
 from pgccd.sim.rank_options import RankOptions
 from pgccd.sim.reports import REPORTED, Reports
 from pgccd.sim.response import respond
 from pgccd.sim.step import Step
 from pgccd.sim.tally import COUNTED, Tally, count_step
+
+#: Options of the search of the whole step and of every round. nonzero_toi: robots that separate after a contact may
+#: move. assume_free: robots start disjoint, and each step ends before the first contact.
+FIRST_CONTACTS = Query("first", 0.0, None, True, "assume_free")
 
 
 class Simulation(RankSteps[Step, CommittedStep, StepGraph]):
@@ -180,11 +185,10 @@ class Simulation(RankSteps[Step, CommittedStep, StepGraph]):
             bodies = MovingBodies.of(self._scene_of(planned.id), self.model.motion(planned), wait=False)
         own = planned.moving_columns
 
-        def beside(share: Share) -> tuple[HeldExchange, Partners]:
-            exchange = HeldExchange.start(share, self._rank.decomposition)
-            return exchange, Partners(self.model, own, share.held.ghosts, pairs_of_rounds(share.passes))
+        def beside(share: Share) -> tuple[HeldExchange, ListedSearch]:
+            return HeldExchange.start(share, self._rank.decomposition), rounds_of(share, bodies, own)
 
-        share, (exchange, partners) = self._rank.search(own, bodies, self._complete, self.options, clock, beside)
+        share, (exchange, rounds) = self._rank.search(own, bodies, self._complete, self.options, clock, beside)
         after: RobotState = planned
 
         def summarise(fraction: Tensor) -> Tensor:
@@ -196,7 +200,7 @@ class Simulation(RankSteps[Step, CommittedStep, StepGraph]):
                 counted = count_step(after, fraction, share.held.id, *share.first_contacts())
                 return torch.cat([counted, self._host_numbers(share)])
 
-        given = share.passes, len(share.held), partners, self._plan, summarise, clock, exchange
+        given = rounds, len(share.held), self._plan, summarise, clock, exchange
         resolved = resolve_collisions(*given, stopping_round=self.model.config.stopping_round)
         reports = Reports.of(resolved.work, resolved.summaries)
         resolved.learn()  # so that reading the contacts does not synchronise
@@ -303,12 +307,12 @@ class Simulation(RankSteps[Step, CommittedStep, StepGraph]):
             scene._leave_out(planned.id < 0)
         bodies = MovingBodies.of(scene, self.model.motion(planned), wait=False)
 
-        def beside(share: Share) -> tuple[HeldExchange, Partners]:
+        def beside(share: Share) -> tuple[HeldExchange, ListedSearch]:
             exchange = HeldExchange.start(share, decomposition, sizes.common, self.comm.peer_messages)
             share.passes[-1].first_contacts()
-            return exchange, Partners(self.model, own, share.held.ghosts, pairs_of_rounds(share.passes))
+            return exchange, rounds_of(share, bodies, own)
 
-        share, (exchange, partners) = search_share(
+        share, (exchange, rounds) = search_share(
             decomposition,
             own,
             bodies,
@@ -324,7 +328,7 @@ class Simulation(RankSteps[Step, CommittedStep, StepGraph]):
         failed = [bodies._first_invalid_rows()[-1:]]
         if self.comm.size > 1:
             failed += [share.overflow, exchange.overflow()]
-        return Searches(share.passes, partners, share.held.id, exchange, failed)
+        return Searches(rounds, share.held.id, exchange, failed)
 
     def _largest_message(self, sizes: HaloSizes) -> int:
         """The first toi of bodies that two ranks hold and one number, or what all ranks gather."""
@@ -366,3 +370,31 @@ def starting_share(comm: Comm, model: Model) -> RobotState:
     """
     first, end = id_range(comm, model.config.robots)
     return model.start(torch.arange(first, end, device=model.device))
+
+
+def rounds_of(share: Share, bodies: MovingBodies, own: Columns) -> ListedSearch:
+    """The rounds of a step of robots. They move at constant velocities, and two that move by the same fraction are not
+    searched: they are at equal times of their whole paths, before the first toi that the search of the whole step has
+    certified (docs/explanation/exactness.md, section 12).
+
+    Args:
+        share: of the step.
+        bodies, own: the own robots, and their columns.
+    """
+
+    def by_velocity(moving: MovingBodies, columns: Columns) -> list[Tensor]:
+        mesh_index, position, _, *more = moving.tensors
+        return [mesh_index, position, columns["velocity"], *more]
+
+    ghosts = None if share.ghosts is None else by_velocity(share.ghosts, share.held.ghosts)
+    return ListedSearch(
+        share.passes,
+        bodies.scene.meshes,
+        by_velocity(bodies, own),
+        ghosts,
+        lambda: pairs_of_rounds(share.passes),
+        FIRST_CONTACTS,
+        lists_contacts=False,
+        skips_equal=True,
+        by_velocity=True,
+    )

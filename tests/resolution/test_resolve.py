@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import ExitStack
 from typing import Any
 from unittest import mock
 
@@ -14,6 +15,7 @@ from support.shapes import tetrahedron
 from torch import Tensor
 
 import pgccd
+from pgccd.resolution.listed import ListedSearch
 from pgccd.resolution.search import ShortenedSearch
 from pgccd.search.sizes import COUNT_ROWS
 
@@ -177,10 +179,12 @@ def test_what_rounds_miss_is_not_promised(device: torch.device) -> None:
     """The test of the shortened motion does not rely on the rounds."""
     scene, motion = on_a_line(device, [0.0, 2.0, 3.2], [1.6, 1.6, 0.0])
 
-    def find_nothing(search: ShortenedSearch, changed: Tensor, *_: Any) -> Tensor:
-        return torch.zeros(len(COUNT_ROWS), dtype=torch.int64, device=changed.device)
+    def find_nothing(search: Any, changed: Tensor, *_: Any) -> Any:
+        return [], torch.zeros(len(COUNT_ROWS), dtype=torch.int64, device=changed.device)
 
-    with mock.patch.object(ShortenedSearch, "start_round", find_nothing):
+    with ExitStack() as stack:
+        for kind in (ShortenedSearch, ListedSearch):
+            stack.enter_context(mock.patch.object(kind, "find_round", find_nothing))
         assert lists(pgccd.resolve(scene, motion)) == ([], [[0, 1]])
         padded = pgccd.resolve(scene, motion, capacity=pgccd.Capacity.of(10))
         assert lists(padded.trim()) == ([], [[0, 1]])

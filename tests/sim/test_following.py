@@ -8,7 +8,7 @@ import pytest
 import torch
 from support.following import FAST, follow_plainly, without_times
 from support.graphs import graphs_on
-from support.resolution import plain_step
+from support.resolution import plain_step, robot_rounds
 from support.steps import alone, step_of
 
 import pgccd
@@ -18,7 +18,7 @@ from pgccd.runtime.stages import StageClock
 from pgccd.search.passes import SearchPass, find_pass, pairs_of_rounds
 from pgccd.sim import Model, ModelConfig, RobotState, robot_mesh
 from pgccd.sim.captured import CommittedStep
-from pgccd.sim.partners import FIRST_CONTACTS, Partners
+from pgccd.sim.simulation import FIRST_CONTACTS
 
 ROWS = 60
 
@@ -40,10 +40,8 @@ def rows_of_three(seed: int, speed: float, gap: float, kinds: int) -> tuple[Mode
 
 
 def resolved(model: Model, state: RobotState, search_pass: SearchPass, pairs: torch.Tensor) -> Fractions:
-    partners = Partners(model, state.moving_columns, None, pairs)
-    nothing = torch.zeros(1, dtype=torch.int64)
-    given = [search_pass], len(state), partners, RoundPlan(), lambda _: nothing, StageClock()
-    return resolve_collisions(*given).resolution
+    rounds, nothing = robot_rounds(model, state, search_pass, pairs), torch.zeros(1, dtype=torch.int64)
+    return resolve_collisions(rounds, len(state), RoundPlan(), lambda _: nothing, StageClock()).resolution
 
 
 @pytest.mark.parametrize("kinds", [1, 2])

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from fractions import Fraction
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from support.resolution import plain_resolution, plain_step, resolve_given
-from support.same_bits import assert_same
 from support.steps import step_of
 from torch import Tensor
 
@@ -155,78 +151,6 @@ def test_collisions_do_not_pile_up() -> None:
     assert late < 1.35 * early
 
 
-@settings(max_examples=40)
-@given(st.integers(0, 999), st.integers(0, 20))
-def test_pairs_alone_move_as_they_do_among_all(seed: int, ghost_count: int) -> None:
-    """Bit for bit, also ghosts; and a search over the copied rows finds the same contacts as one over all rows."""
-    model = Model(ModelConfig(robots=60, speed=0.5, seed=seed))
-    state = model.plan(model.start(), 0)
-    generator = torch.Generator().manual_seed(seed)
-    fraction = torch.rand(len(state), dtype=torch.float64, generator=generator)
-    pairs = pgccd.broad.find_pairs(pgccd.MovingBodies.of(model.scene(state.id), model.motion(state)))
-    slowed = model.motion(state, fraction)
-    own_count = len(state) - ghost_count
-    own = [column[:own_count] for column in state.moving_columns.values()]
-    ghosts = [column[own_count:] for column in state.moving_columns.values()]
-    all_changed = torch.ones(len(state), dtype=torch.uint8)
-    _, bodies, _ = model.affected_pairs(own, ghosts, fraction, all_changed, pairs, len(pairs))
-    mesh_index, position_t0, position_t1, _, orientation, rotation = bodies
-    scene = pgccd.Scene._of_checked(model.meshes, mesh_index)
-    motion = pgccd.RigidMotion._of_checked(position_t0, orientation, position_t1, rotation)
-    for name in ("position_t0", "orientation_t0", "position_t1", "rotation"):
-        assert torch.equal(getattr(motion, name), getattr(slowed, name)[pairs.reshape(-1)]), name
-    copies = torch.arange(2 * len(pairs)).view(-1, 2)
-    alone = pgccd.detect(scene, motion, pairs=copies)
-    among_all = pgccd.detect(model.scene(state.id), slowed, pairs=pairs)
-    assert torch.equal(pairs[alone.pairs[:, 0] // 2], among_all.pairs)
-    assert_same(replace(alone, pairs=among_all.pairs), among_all)
-
-
-def test_affected_pairs_have_a_robot_that_changed_and_different_fractions(device: torch.device) -> None:
-    """Their robots move bit for bit as among all, in whatever order they are found."""
-    model = Model(ModelConfig(robots=5000, seed=4))
-    state = model.plan(model.start(), 0)
-    generator = torch.Generator().manual_seed(2)
-    pairs = torch.randint(5000, (30_000, 2), generator=generator)
-    pairs[::7] = -1
-    changed = torch.rand(5000, generator=generator) < 0.05
-    fraction = 0.2 * torch.randint(1, 6, (5000,), dtype=torch.float64, generator=generator)
-    among_all = model.motion(state, fraction)
-    affected = (pairs[:, 0] >= 0) & changed[pairs].any(dim=1)
-    differ = fraction[pairs[:, 0]] != fraction[pairs[:, 1]]
-    assert int((affected & ~differ).sum()) > 300
-    expected = sorted(pairs[affected & differ].tolist())
-    count = len(expected)
-    assert count > 1500
-    columns = [column.to(device) for column in state.moving_columns.values()]
-    own, ghosts = ([column[part] for column in columns] for part in (slice(0, 4100), slice(4100, None)))
-    marks = changed.to(device).view(torch.uint8)
-    there = Model(model.config, device=device)
-    for capacity in (30_000, count, count - 1, 0):
-        found, bodies, counts = there.affected_pairs(
-            own, ghosts, fraction.to(device), marks, pairs.to(device), capacity
-        )
-        written = min(count, capacity)
-        assert counts.tolist() == [count, 0, 0, written, int(capacity < count), 0, 0]
-        assert len(found) == capacity and all(len(column) == 2 * capacity for column in bodies)
-        found = found[:written].cpu()
-        if capacity < count:  # a subset
-            assert all(pair in expected for pair in found[::50].tolist())
-        else:
-            assert sorted(found.tolist()) == expected
-        robots = found.reshape(-1)
-        mesh_index, position_t0, position_t1, _, orientation, rotation = (c[: 2 * written].cpu() for c in bodies)
-        assert torch.equal(mesh_index, (state.id % len(model.meshes))[robots].int())
-        assert torch.equal(position_t0, among_all.position_t0[robots])
-        assert torch.equal(position_t1, among_all.position_t1[robots])
-        assert torch.equal(orientation, among_all.orientation_t0[robots])
-        assert torch.equal(rotation, among_all.rotation[robots])
-    nothing = there.affected_pairs(own, ghosts, fraction.to(device), marks, pairs[:0].to(device), 5)
-    assert nothing[2].tolist() == [0] * 7
-    with pytest.raises(RuntimeError, match=r"capacity: expected a number in \[0, 2\^31\), got -1"):
-        there.affected_pairs(own, ghosts, fraction.to(device), marks, pairs.to(device), -1)
-
-
 def test_equal_fractions_follow_the_whole_path() -> None:
     """The ends of shortened paths are within the bound of docs/explanation/exactness.md, 12, of the whole path."""
     model = Model(ModelConfig(robots=500, seed=6))
@@ -244,34 +168,6 @@ def test_equal_fractions_follow_the_whole_path() -> None:
         turns = (column[row].tolist() for column in (whole.rotation, part.rotation))
         assert all(abs(f * Fraction(w) - Fraction(r)) <= unit * abs(Fraction(w)) for w, r in zip(*turns, strict=True))
     assert largest > Fraction(1, 4)  # the bound is not far above what occurs
-
-
-def test_slowing_all_down(device: torch.device) -> None:
-    first = torch.tensor([0.5, torch.inf, 0.005, 1.0, 0.5, torch.inf], dtype=torch.float64, device=device)
-    fraction = torch.tensor([0.5, 1.0, 1.0, 1.0, 0.0, 0.0], dtype=torch.float64, device=device)
-    changed = torch.full((6,), 7, dtype=torch.uint8, device=device)
-    reports = torch.zeros(4, dtype=torch.int64, device=device).split(1)
-    ops.simulate_slow_all_down(first, fraction, changed, reports[1], 0.99, 0.01)
-    made = [0.5 * 0.5 * 0.99, 1.0, 0.0, 0.99, 0.0, 0.0]
-    assert fraction.tolist() == made and changed.tolist() == [1, 0, 1, 1, 0, 0] and bool((first == torch.inf).all())
-    ops.simulate_slow_all_down(first, fraction, changed, reports[2], 0.99, 0.01)
-    assert fraction.tolist() == made and not bool(changed.any())
-    ops.simulate_slow_all_down(first[:0], fraction[:0], changed[:0], reports[3], 0.99, 0.01)
-    assert torch.cat(reports).tolist() == [0, 1, 0, 0]
-    first.fill_(0.9)
-    ops.simulate_slow_all_down(first, fraction, changed, reports[3], 0.99, torch.inf)
-    assert not bool(fraction.any()) and changed.tolist() == [1, 1, 0, 1, 0, 0]
-
-
-def test_first_toi_of_padded_contacts(device: torch.device) -> None:
-    first = torch.tensor([0.5, torch.inf, torch.inf, torch.inf], dtype=torch.float64, device=device)
-    robots = torch.tensor([0, 1, 0, 3, -1, -1], device=device)  # the robot of each copied row
-    pairs = torch.tensor([[0, 1], [2, 3], [-1, -1]], device=device)
-    toi = torch.tensor([0.75, 0.25, torch.inf], dtype=torch.float64, device=device)
-    ops.simulate_first_toi(first, robots, pairs, toi)
-    assert first.tolist() == [0.25, 0.75, torch.inf, 0.25]
-    ops.simulate_first_toi(first, robots, pairs[:0], toi[:0])
-    assert first.tolist() == [0.25, 0.75, torch.inf, 0.25]
 
 
 def test_a_step_is_committed_unless_it_is_to_be_discarded(device: torch.device) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 from unittest import mock
@@ -12,20 +12,21 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support.resolution import PlainStep, plain_run, plain_step
+from support.resolution import PlainStep, plain_run, plain_step, robot_rounds
 from support.steps import step_of
 from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 
 import pgccd
+from pgccd.resolution import listed
+from pgccd.resolution.listed import ListedSearch
 from pgccd.resolution.round_plan import RoundPlan
-from pgccd.resolution.rounds import OneRank, ResolvedStep, resolve_collisions
+from pgccd.resolution.rounds import Found, OneRank, ResolvedStep, resolve_collisions
 from pgccd.runtime.stages import StageClock
 from pgccd.search.passes import SearchPass
 from pgccd.search.sizes import COUNT_ROWS, BufferSizes, Capacity
 from pgccd.sim import Fractions, Model, ModelConfig, RobotState, robot_mesh
-from pgccd.sim import partners as partners_module
-from pgccd.sim.partners import FIRST_CONTACTS, Partners
+from pgccd.sim.simulation import FIRST_CONTACTS
 from pgccd.sim.tally import WORK
 
 pipeline_module = sys.modules["pgccd.search.detect"]
@@ -114,12 +115,11 @@ class PlannedStep:
         self,
         plan: RoundPlan | None = None,
         exchange: OneRank | None = None,
-        make_partners: Callable[..., Partners] = Partners,
+        kind: type[ListedSearch] = ListedSearch,
         search_pass: SearchPass | None = None,
     ) -> ResolvedStep:
-        partners = make_partners(self.model, self.state.moving_columns, None, self.pairs)
-        passes, plan = [search_pass or self.search_pass()], plan or RoundPlan()
-        given = passes, len(self.state), partners, plan, self.summarise, StageClock()
+        rounds = robot_rounds(self.model, self.state, search_pass or self.search_pass(), self.pairs, kind)
+        given = rounds, len(self.state), plan or RoundPlan(), self.summarise, StageClock()
         resolved = resolve_collisions(*given, exchange)
         found, expected = resolved.resolution, self.expected.resolution
         assert (found.rounds, found.secondary_contacts) == (expected.rounds, expected.secondary_contacts)
@@ -160,15 +160,15 @@ def plan_after(rounds: int, plan: RoundPlan | None = None) -> RoundPlan:
 
 @contextmanager
 def counted_calls(method: str) -> Iterator[list[None]]:
-    """A context with a list that has one entry per call of this method of `Partners`."""
+    """A context with a list that has one entry per call of this method of `ListedSearch`."""
     calls: list[None] = []
-    unchanged = getattr(Partners, method)
+    unchanged = getattr(ListedSearch, method)
 
     def counted(*given: Any) -> Any:
         calls.append(None)
         return unchanged(*given)
 
-    with mock.patch.object(Partners, method, counted):
+    with mock.patch.object(ListedSearch, method, counted):
         yield calls
 
 
@@ -190,7 +190,7 @@ def test_a_step_of_which_nothing_is_known() -> None:
 
 def test_one_rank_on_the_cpu_makes_the_rounds_it_needs() -> None:
     step = many_rounds()
-    with counted_calls("start_round") as calls:
+    with counted_calls("find_round") as calls:
         step.resolve(plan_after(9))
     assert len(calls) == step.rounds
 
@@ -201,18 +201,18 @@ def test_too_little_capacity_in_a_round() -> None:
     for lacking in range(step.rounds):
         calls: list[Capacity] = []
 
-        class Tight(Partners):
-            def start_round(
-                self, changed: Tensor, fraction: Tensor, capacity: Capacity, first: Tensor, calls: Any = calls
-            ) -> Tensor:
+        class Tight(ListedSearch):
+            def find_round(
+                self, changed: Tensor, fraction: Tensor, capacity: BufferSizes, first: Tensor, calls: Any = calls
+            ) -> tuple[list[Found], Tensor]:
                 calls.append(capacity)
                 lowered = first.clone()
-                counts = super().start_round(changed, fraction, capacity, lowered)
+                found, counts = super().find_round(changed, fraction, capacity, lowered)
                 if counts[COUNT_ROWS["pairs"]] > capacity.pairs:
                     counts[COUNT_ROWS["pairs_overflow"]] = 1
                 else:
                     first.copy_(lowered)
-                return counts
+                return found, counts
 
         plan = RoundPlan()
         plenty, none = Capacity.of(400, 200), BufferSizes(0, 0)
@@ -239,7 +239,7 @@ def test_too_little_capacity_for_the_whole_step(exchange: OneRank | None, monkey
 def test_rounds_that_do_not_fit_into_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     step = many_rounds()
     for limit in (10_000, 1000, 1):
-        monkeypatch.setattr(partners_module, "memory_limit", lambda *_, limit=limit: limit)
+        monkeypatch.setattr(listed, "memory_limit", lambda *_, limit=limit: limit)
         with counted_calls("_search") as pieces:
             step.resolve()
         most = -(-BufferSizes(pairs=len(step.pairs), contacts=0).bytes // limit)
@@ -289,15 +289,11 @@ class Calls(TorchDispatchMode):
         return func(*args, **(kwargs or {}))
 
 
-class Unread(Partners):
+class Unread(ListedSearch):
     """Does not read the number of pairs, as on a GPU."""
 
-    def _search(self, changed: Tensor, fraction: Tensor, pairs: Tensor, capacity: Capacity, first: Tensor) -> Tensor:
-        given = self._own, self._ghosts, fraction, changed, pairs
-        found, bodies, counts = self._model.affected_pairs(*given, len(pairs))
-        copies, meshes = self._copies_of(len(pairs)), self._model.meshes.tensors
-        search = partners_module.lower_first_toi
-        return search(first, found, meshes, bodies, False, copies, counts, FIRST_CONTACTS, capacity)
+    def _count(self, given: Any, capacity: BufferSizes, pairs: Tensor) -> int:
+        return len(pairs)
 
 
 def test_a_round_is_few_operators_and_no_wait() -> None:
@@ -306,9 +302,9 @@ def test_a_round_is_few_operators_and_no_wait() -> None:
     for rounds in (8, 9):
         search_pass, plan, exchange = step.search_pass(), plan_after(rounds), TwoAlike()
         search_pass.start()
-        partners = Unread(step.model, step.state.moving_columns, None, step.pairs)
-        partners._copies_of(len(step.pairs))
-        given = [search_pass], len(step.state), partners, plan, step.summarise, StageClock()
+        listed_search = robot_rounds(step.model, step.state, search_pass, step.pairs, Unread)
+        listed_search._copies_of(len(step.pairs))
+        given = listed_search, len(step.state), plan, step.summarise, StageClock()
         with Calls() as watch:
             found = resolve_collisions(*given, exchange).resolution
         assert same(found, step.expected.resolution)

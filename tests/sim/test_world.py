@@ -137,20 +137,10 @@ def test_operators_have_consistent_fake_kernels() -> None:
     torch.library.opcheck(torch.ops.pgccd.simulate_start, (state.id, *settings))
     torch.library.opcheck(torch.ops.pgccd.simulate_plan, (columns, torch.tensor([3]), *settings))
     torch.library.opcheck(torch.ops.pgccd.simulate_respond, (columns, half))
-    pairs, changed = torch.tensor([[0, 1], [1, 4], [-1, -1]]), torch.ones(5, dtype=torch.uint8)
-    empty = [column[:0] for column in columns[:5]]
-    # All rows: those past the last pair are undefined.
-    apart = 0.1 * torch.arange(1.0, 6.0, dtype=torch.float64)
-    moving = (columns[:5], empty, apart, changed, pairs, model.meshes.radius, 2)
-    torch.library.opcheck(torch.ops.pgccd.simulate_affected_motion, moving)
     plan = [state.velocity, state.angular_velocity, state.target, state.stay_until]
     discard = torch.zeros(1, dtype=torch.int64)
     copies = [column.clone() for column in state.columns.values()]
     torch.library.opcheck(torch.ops.pgccd.simulate_commit, (copies, plan, half, discard))
-    empty_yet = torch.zeros(1, dtype=torch.int64)
-    slowing = (half.clone(), half.clone(), changed, empty_yet, 0.99, 0.01)
-    torch.library.opcheck(torch.ops.pgccd.simulate_slow_all_down, slowing)
-    torch.library.opcheck(torch.ops.pgccd.simulate_first_toi, (half, state.id, pairs[:2], half[:2]))
     torch.library.opcheck(torch.ops.pgccd.random_uniforms, (state.id, 1, 2, 3))
 
 

@@ -11,13 +11,14 @@ import torch
 from torch import Tensor
 
 import pgccd
+from pgccd.resolution.listed import ListedSearch
 from pgccd.resolution.round_plan import RoundPlan
-from pgccd.resolution.rounds import Fractions, resolve_collisions
+from pgccd.resolution.rounds import Found, Fractions, found_by, resolve_collisions
 from pgccd.runtime.stages import StageClock
 from pgccd.search.passes import SearchPass
 from pgccd.search.sizes import COUNT_ROWS, BufferSizes
 from pgccd.sim import Model, RobotState, contacts_hash, respond, state_hash
-from pgccd.sim.partners import Partners
+from pgccd.sim.simulation import FIRST_CONTACTS
 
 #: Contacts of the robots that changed (N,) bool, each moving by its fraction (N,) of the step.
 Find = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
@@ -90,17 +91,39 @@ def resolve_given(pairs: Tensor, toi: Tensor, count: int, find: Find) -> Fractio
     class GivenRounds:
         """Rounds with given contacts."""
 
-        def start_round(self, changed: Tensor, fraction: Tensor, capacity: BufferSizes, first: Tensor) -> Tensor:
-            counts = torch.zeros(len(COUNT_ROWS), dtype=torch.int64)
-            if bool(changed.any()):
-                found, times = find(changed.bool(), fraction)
-                first.scatter_reduce_(0, found.reshape(-1), times.repeat_interleave(2), "amin")
-                counts[COUNT_ROWS["contacts"]] = len(times)
-            return counts
+        waits = False
 
-    passes, partners = cast(list[SearchPass], [GivenPass()]), cast(Partners, GivenRounds())
-    nothing = torch.zeros(1, dtype=torch.int64)
-    return resolve_collisions(passes, count, partners, RoundPlan(), lambda _: nothing, StageClock()).resolution
+        def __init__(self, passes: list[SearchPass]) -> None:
+            self.passes = passes
+
+        def find_whole(self) -> list[Found]:
+            return found_by(self.passes)
+
+        def look_again(self) -> None:
+            pass
+
+        def find_round(
+            self, changed: Tensor, fraction: Tensor, capacity: BufferSizes, first: Tensor
+        ) -> tuple[list[Found], Tensor]:
+            counts = torch.zeros(len(COUNT_ROWS), dtype=torch.int64)
+            if not bool(changed.any()):
+                return [], counts
+            found, times = find(changed.bool(), fraction)
+            counts[COUNT_ROWS["contacts"]] = len(times)
+            return [Found(found, found, times)], counts
+
+    rounds, nothing = GivenRounds(cast(list[SearchPass], [GivenPass()])), torch.zeros(1, dtype=torch.int64)
+    return resolve_collisions(rounds, count, RoundPlan(), lambda _: nothing, StageClock()).resolution
+
+
+def robot_rounds(
+    model: Model, state: RobotState, search_pass: SearchPass, pairs: Tensor, kind: type[ListedSearch] = ListedSearch
+) -> ListedSearch:
+    """The rounds of a planned step of robots, searched among these pairs."""
+    mesh_index, position, _, *more = search_pass.bodies.tensors
+    own = [mesh_index, position, state.velocity, *more]
+    options: dict[str, Any] = {"lists_contacts": False, "skips_equal": True, "by_velocity": True}
+    return kind([search_pass], model.meshes, own, None, lambda: pairs, FIRST_CONTACTS, **options)
 
 
 def plain_run(model: Model, steps: int) -> list[dict[str, Any]]:

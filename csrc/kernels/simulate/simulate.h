@@ -4,8 +4,6 @@
 #include "kernels/device_context.h"
 #include "kernels/executor.h"
 #include "kernels/simulate/hash_item.h"
-#include "kernels/simulate/pair_motion_item.h"
-#include "kernels/simulate/resolution_item.h"
 #include "kernels/simulate/robot.h"
 #include "kernels/simulate/world.h"
 
@@ -40,18 +38,6 @@ void random_uniforms(const Executor& executor, uint64_t seed, const int64_t* id,
                      uint32_t stream, double* uniforms);
 void random_uniforms(const DeviceContext& context, uint64_t seed, const int64_t* id, int64_t count, uint32_t step,
                      uint32_t stream, double* uniforms);
-
-// Slows down all robots that are about to collide, in place; changes (1,) is set to 1 if any robot changes.
-void slow_all_down(const Executor& executor, const SlowAllDown& robots, int64_t* changes);
-void slow_all_down(const DeviceContext& context, const SlowAllDown& robots, int64_t* changes);
-
-// Lowers the first toi of robots to that of their contacts.
-void lower_first_toi_of_robots(const Executor& executor, const FirstToiInput& contacts, double* first);
-void lower_first_toi_of_robots(const DeviceContext& context, const FirstToiInput& contacts, double* first);
-
-// The affected pairs (on a device in any order) and the motion of their robots, up to the capacity.
-void affected_motion(const Executor& executor, const AffectedMotion& given);
-void affected_motion(const DeviceContext& context, const AffectedMotion& given);
 
 // What a step did, and the hashes of the robots and contacts after it.
 void tally_step(const Executor& executor, const StepOutcome& outcome, StepTally* tally);

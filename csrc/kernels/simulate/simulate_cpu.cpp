@@ -1,6 +1,3 @@
-#include <vector>
-
-#include "kernels/find_rows.h"
 #include "kernels/simulate/robot_item.h"
 #include "kernels/simulate/simulate.h"
 
@@ -50,39 +47,6 @@ void random_uniforms(const Executor& executor, uint64_t seed, const int64_t* id,
     const Uniforms drawn = random_uniforms(seed, {id[row], step, stream});
     for (int k = 0; k < 4; ++k) uniforms[4 * row + k] = drawn.u[k];
   });
-}
-
-void slow_all_down(const Executor& executor, const SlowAllDown& robots, int64_t* changes) {
-  int64_t chunks = 0;
-  parallel_chunks(executor, robots.count, 1024, [&](int, int64_t begin, int64_t end) {
-    bool any = false;
-    for (int64_t row = begin; row < end; ++row) any |= robots.slow_down(row);
-    if (any) add_shared(chunks, int64_t{1}, false);
-  });
-  if (chunks != 0) *changes = 1;
-}
-
-void lower_first_toi_of_robots(const Executor& executor, const FirstToiInput& contacts, double* first) {
-  require_rows(executor, contacts.count, "pairs, robots", "are padding, or name robots",
-               [&](int64_t contact) { return contacts.is_sound(2 * contact) && contacts.is_sound(2 * contact + 1); });
-  for (int64_t side = 0; side < 2 * contacts.count; ++side) {
-    const int64_t copy = contacts.pairs[side];
-    if (copy < 0) continue;
-    double& target = first[contacts.robot(copy)];
-    target = smaller(target, contacts.toi[side / 2]);
-  }
-}
-
-void affected_motion(const Executor& executor, const AffectedMotion& given) {
-  require_rows(executor, given.pair_count, "pairs", "are padding, or name robots",
-               [&](int64_t pair) { return given.affected.is_sound(pair); });
-  std::vector<int64_t> rows(static_cast<size_t>(given.pair_count));
-  int64_t found = 0;
-  find_rows(executor, given.pair_count, rows.data(), &found, given.affected);
-  for_each_row(executor, found, [&](int64_t k) {
-    for (int side = 0; side < 2; ++side) given.store(rows[static_cast<size_t>(k)], side, k);
-  });
-  store_counts(found, given.capacity, given.counts);
 }
 
 void tally_step(const Executor& executor, const StepOutcome& outcome, StepTally* tally) {

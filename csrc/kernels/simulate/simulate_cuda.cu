@@ -42,41 +42,6 @@ __global__ void __launch_bounds__(kBlockThreads) tally_step_kernel(StepOutcome o
   }
 }
 
-struct FoundPairs {
-  uint32_t count;
-  uint32_t blocks_done;
-};
-
-// About one in ten pairs is affected, with a hundred bytes to read and write each: a block first collects the affected
-// ones of many pairs, so that all its threads have work.
-constexpr int kTilePairs = 8 * kBlockThreads;
-
-__global__ void __launch_bounds__(kBlockThreads) affected_motion_kernel(AffectedMotion given, FoundPairs* found) {
-  wait_for_previous_kernels();
-  __shared__ int32_t tile[kTilePairs];
-  __shared__ uint32_t count, first;
-  const int64_t stride = static_cast<int64_t>(gridDim.x) * kTilePairs;
-  for (int64_t begin = static_cast<int64_t>(blockIdx.x) * kTilePairs; begin < given.pair_count; begin += stride) {
-    if (threadIdx.x == 0) count = 0;
-    __syncthreads();
-    const int pairs = static_cast<int>(smaller<int64_t>(kTilePairs, given.pair_count - begin));
-    for (int k = threadIdx.x; k < pairs; k += kBlockThreads) {
-      require_on_device(given.affected.is_sound(begin + k), "pairs: expected padding, or robots");
-      if (given.affected(begin + k)) tile[warp_append(&count)] = k;
-    }
-    __syncthreads();
-    if (threadIdx.x == 0) first = atomicAdd(&found->count, count);
-    __syncthreads();
-    for (uint32_t side = threadIdx.x; side < 2 * count; side += kBlockThreads) {
-      given.store(begin + tile[side / 2], static_cast<int>(side % 2), int64_t{first} + side / 2);
-    }
-    __syncthreads();
-  }
-  if (threadIdx.x == 0 && is_last_block(&found->blocks_done)) {
-    store_counts(atomicAdd(&found->count, 0u), given.capacity, given.counts);
-  }
-}
-
 }  // namespace
 
 void start_robots(const DeviceContext& context, const World& world, const int64_t* id, int64_t count,
@@ -119,32 +84,6 @@ void random_uniforms(const DeviceContext& context, uint64_t seed, const int64_t*
     const Uniforms drawn = random_uniforms(seed, {id[row], step, stream});
     for (int k = 0; k < 4; ++k) uniforms[4 * row + k] = drawn.u[k];
   });
-}
-
-void slow_all_down(const DeviceContext& context, const SlowAllDown& robots, int64_t* changes) {
-  for_each_item(context, robots.count, [=] __device__(int64_t row) {
-    if (robots.slow_down(row)) *changes = 1;  // all threads write the same value
-  });
-}
-
-void lower_first_toi_of_robots(const DeviceContext& context, const FirstToiInput& contacts, double* first) {
-  // Non-negative doubles have the same order as their bits.
-  static_assert(sizeof(long long) == sizeof(double));
-  for_each_item(context, 2 * contacts.count, [=] __device__(int64_t side) {
-    const int64_t copy = contacts.pairs[side];
-    require_on_device(contacts.is_sound(side), "pairs, robots: expected padding, or robots");
-    if (copy < 0) return;
-    atomicMin(reinterpret_cast<long long*>(first + contacts.robot(copy)), __double_as_longlong(contacts.toi[side / 2]));
-  });
-}
-
-void affected_motion(const DeviceContext& context, const AffectedMotion& given) {
-  FoundPairs* const found = context.allocate<FoundPairs>(1);
-  fill_bytes(context, found, 0, 1);
-  const int64_t tiles = (given.pair_count + kTilePairs - 1) / kTilePairs;
-  const int64_t blocks =
-      larger<int64_t>(1, smaller<int64_t>(tiles, resident_blocks_of(context, affected_motion_kernel)));
-  launch_kernel(context, affected_motion_kernel, static_cast<unsigned>(blocks), kBlockThreads, given, found);
 }
 
 void hash_rows(const DeviceContext& context, const HashColumns& columns, uint64_t* sum) {

@@ -116,7 +116,7 @@ def search_share(
     Args:
         decomposition: of space.
         own: columns of this rank's own bodies, "id" ascending, that are sent for ghosts.
-        bodies: the own bodies, made with `wait=False`.
+        bodies: the own bodies, made with `wait=False`; `stoppable` for pairs at any times.
         complete: given the columns of ghosts, which their owners have validated, those of their scene and motion,
             bitwise equal to what the owner has. Deforming bodies have those of their vertices besides.
         options: of the detection.
@@ -186,6 +186,8 @@ def search_share(
         with stage("halo"):
             ghost_vertices = _vertices_of_ghosts(vertices, held, bodies)
             ghosts = _ghosts(held, complete, ghost_vertices, bodies, halo.is_padded)
+            if options.at_any_times:
+                ghosts = ghosts.stoppable()
             near, near_count = ops.near_ghosts(
                 bodies.swept_spheres, halo.reach, ghosts.swept_spheres, *distances, frame, owner, rank
             )
@@ -203,6 +205,8 @@ def search_share(
             if vertices is not None and ghost_vertices is not None:
                 both = Vertices.join(vertices, ghost_vertices).take(rows)
             at_boundary = _at_boundary(bodies, ghosts, rows, both, is_padded=not synchronises)
+            if options.at_any_times:
+                at_boundary = at_boundary.stoppable()
 
             id_of_rows = held.id  # not read unless pairs are excluded
             if options.excluded is not None:

@@ -1,40 +1,46 @@
 """Steps of a `World` in which no two bodies meet: `pgccd.resolve` over ranks.
 
-A round is a detection on the shortened paths, as in `pgccd.resolution.search`: each rank shortens the paths of its own
-bodies and sends ghosts anew, so that a body that stopped is known wherever others may reach it. The rank that tests a
-pair tells the owners of its bodies, which apply the rule. The first round in which no rank slowed a body down is the
-last.
+On arcs, each rank resolves all bodies that it holds, ghosts included: the ghosts of the whole step suffice, as a
+shortened arc is a part of the whole one. In a round, a rank searches its share of the pairs that may meet at any two
+times, and all ranks that hold a body agree on its first toi.
 
-The rounds of the nanorobot simulation keep the ghosts of the whole step, and agree on the first toi of every copy. That
-suffices for arcs, which are shortened to a part of themselves; vertices on linear paths leave theirs.
+Where that list would be long, and on other paths, a round is a detection on the shortened paths, as in
+`pgccd.resolution.search`: each rank shortens the paths of its own bodies and sends ghosts anew. The rank that tests a
+pair tells the owners of its bodies, which apply the rule.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Generic, cast
+from typing import Any, Generic, cast
 
 import torch
 from torch import Tensor
 
 from pgccd.contacts.contacts import Contacts
 from pgccd.distributed.comm.exchange import Columns
+from pgccd.distributed.detection.held_exchange import HeldExchange, RankExchange
 from pgccd.distributed.detection.ids import rows_of
 from pgccd.distributed.detection.options import PassEstimates, SearchOptions
 from pgccd.distributed.detection.report import columns_for_owners, tell_owners
 from pgccd.distributed.detection.share import Share, search_share
+from pgccd.distributed.halo.held import Held
 from pgccd.distributed.halo.vertices import Vertices, vertex_counts
 from pgccd.distributed.partition.decomposition import Decomposition
+from pgccd.distributed.steps.rank import Rank
 from pgccd.distributed.world.columns import columns_to_send
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
+from pgccd.resolution.listed import ListedSearch, is_short
 from pgccd.resolution.results import M, Resolution
+from pgccd.resolution.round_plan import RoundPlan
+from pgccd.resolution.rounds import Exchange, Found, RoundSearch, resolve_collisions
 from pgccd.resolution.search import at_rest, shortened
-from pgccd.resolution.slowing import SlowedBodies
 from pgccd.resolution.stoppers import Stoppers
 from pgccd.runtime.stages import StageClock
 from pgccd.search.bodies import MovingBodies
-from pgccd.search.passes import search_seconds
+from pgccd.search.passes import SearchPass, pairs_of_rounds, search_seconds
+from pgccd.search.sizes import BufferSizes
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -56,16 +62,25 @@ class WorldResolution(Resolution[M], Generic[M]):
 
 
 @dataclass
-class ResolutionEstimates:
-    """Capacity estimates of the searches after the first; owned by a `World`."""
+class ResolutionPlan:
+    """What earlier steps of a `World` needed; the same on all ranks, but for capacities. It changes how rounds are
+    searched, never the result.
+    """
 
-    rounds: PassEstimates = field(default_factory=PassEstimates)
+    rounds: RoundPlan = field(default_factory=RoundPlan)
+    shortened: PassEstimates = field(default_factory=PassEstimates)
     check: PassEstimates = field(default_factory=PassEstimates)
+    lists: bool = True  #: whether rounds search a list of pairs, which was not too long in the last step
 
 
-def options_of_resolution(options: SearchOptions) -> SearchOptions:
-    """Options of the search of the whole step and of rounds."""
-    return replace(options, report="first", nonzero_toi=True)
+def options_of_resolution(options: SearchOptions, lists: bool) -> SearchOptions:
+    """Options of the search of the whole step and of rounds.
+
+    Args:
+        options: of the world.
+        lists: whether rounds search a list of pairs.
+    """
+    return replace(options, report="first", nonzero_toi=True, at_any_times=lists)
 
 
 def vertices_of(motion: RigidMotion | VertexMotion, scene: Scene) -> Vertices | None:
@@ -75,78 +90,47 @@ def vertices_of(motion: RigidMotion | VertexMotion, scene: Scene) -> Vertices | 
     return Vertices(motion.columns(), vertex_counts(scene.meshes, scene.mesh_index))
 
 
-@dataclass
-class ResolvedStep(Generic[M]):
-    """One step, to be resolved; all ranks call `resolve`.
+def listed_search(share: Share, lists_contacts: bool = True) -> ListedSearch:
+    """The rounds of a step of rigid bodies on arcs, given this rank's share of it, searched `at_any_times`."""
+    own = share.passes[0].bodies
+    return ListedSearch(
+        share.passes,
+        own.scene.meshes,
+        own.tensors,
+        None if share.ghosts is None else share.ghosts.tensors,
+        lambda: pairs_of_rounds(share.passes),
+        share.options.query,
+        id=share.held.id,
+        lists_contacts=lists_contacts,
+    )
+
+
+@dataclass(eq=False)
+class _Step(Generic[M]):
+    """The own bodies of a rank, in a step to be resolved.
 
     Args:
-        whole: the first contacts on the whole paths, by `options_of_resolution`.
-        scene: of this rank's own bodies.
-        motion: their whole step.
-        fixed: (N,) bool: bodies that may not be stopped; None: none.
-        payload: columns (N, ...) that `hits` carry, see `tell_owners`.
+        whole: the share of the whole step.
+        scene, motion: of this rank's own bodies, and their whole step.
         decomposition: of space.
-        estimates: of capacities.
+        plan: see `ResolutionPlan`.
         clock: records stage times.
     """
 
     whole: Share
     scene: Scene
     motion: M
-    fixed: Tensor | None
-    payload: Columns
     decomposition: Decomposition
-    estimates: ResolutionEstimates
+    plan: ResolutionPlan
     clock: StageClock
 
-    def resolve(self) -> WorldResolution[M]:
-        """Makes the rounds, and tests the shortened motion."""
-        comm, options, device = self.decomposition.comm, self.whole.options, self.scene.device
-        hits = tell_owners(self.whole, self.payload)
-        assert isinstance(hits, Contacts)
-        stoppers = Stoppers(self.scene.body_count, device)
-        bodies = SlowedBodies(self.scene.body_count, device, self.fixed, stoppers)
-        rounds, columns = 0, {"pairs": hits.pairs, "toi": hits.toi}
-        while comm.any(self._slow_down(bodies, stoppers, rounds, columns)):
-            rounds += 1
-            motion = shortened(self.scene, self.motion, bodies.fraction)
-            motion._is_trusted = True  # it is checked with the whole step
-            share = self._search(motion, options, self.estimates.rounds, changed=bodies.changed)
-            found = share.contacts
-            assert isinstance(found, Contacts)
-            columns = columns_for_owners(share, {"pairs": found.pairs, "toi": found.toi})
-        made = cast(M, shortened(self.scene, self.motion, bodies.fraction))
-        meeting, rest = self._check(made) if comm.any(len(hits) > 0) else (hits.pairs, hits.toi == 0.0)
-        touching = torch.cat([hits.pairs[hits.toi == 0.0], meeting[rest]]).unique(dim=0)
-        return WorldResolution(made, bodies.fraction, stoppers.by, touching, meeting[~rest], rounds, hits)
+    def shorten(self, fraction: Tensor) -> M:
+        """The motion x_i(f_i t), given f (N,)."""
+        motion = cast(M, shortened(self.scene, self.motion, fraction))
+        motion._is_trusted = True  # it is checked with the whole step
+        return motion
 
-    def _slow_down(self, bodies: SlowedBodies, stoppers: Stoppers, round: int, columns: Columns) -> bool:
-        """Applies the rule to the own bodies among contacts, given "pairs" in global ids and "toi". Returns whether a
-        body has changed.
-        """
-        pairs, toi = columns["pairs"], columns["toi"]
-        rows = rows_of(self.whole.held.own_id, pairs)
-        for row in rows.unbind(1):
-            bodies.lower(row, toi)
-        for row, other in zip(rows.unbind(1), pairs.flip(1).unbind(1), strict=True):
-            stoppers.find_of(row, other, toi, bodies.first)
-        change = torch.zeros(1, dtype=torch.int64, device=toi.device)
-        bodies.slow_down(round, change)
-        return bool(change)
-
-    def _check(self, made: M) -> tuple[Tensor, Tensor]:
-        """The pairs (P, 2) of own bodies that are not proven free on the shortened motion, and which of these (P,) bool
-        are at rest.
-        """
-        rest = at_rest(self.scene, made)
-        options = replace(self.whole.options, report="any")
-        share = self._search(made, options, self.estimates.check, marks={"rest": rest})
-        of_held = torch.cat([rest, share.held.ghosts["rest"]]) if share.ghosts is not None else rest
-        pairs = share.contacts.pairs
-        columns = columns_for_owners(share, {"pairs": pairs, "rest": of_held[pairs].all(dim=1)})
-        return columns["pairs"], columns["rest"]
-
-    def _search(
+    def search(
         self,
         motion: RigidMotion | VertexMotion,
         options: SearchOptions,
@@ -154,6 +138,7 @@ class ResolvedStep(Generic[M]):
         marks: Columns | None = None,
         changed: Tensor | None = None,
     ) -> Share:
+        """A detection on a shortened motion; `marks` (N, ...) are sent with ghosts."""
         with self.clock.stage("plan"):
             bodies = MovingBodies.of(self.scene, motion, wait=False)
         share, _ = search_share(
@@ -170,3 +155,159 @@ class ResolvedStep(Generic[M]):
         )
         self.clock.add(search_seconds(share.contacts.stats))
         return share
+
+    def check(self, made: M) -> tuple[Tensor, Tensor]:
+        """The pairs (P, 2) of own bodies that are not proven free on the shortened motion, and which of these (P,) bool
+        are at rest.
+        """
+        rest = at_rest(self.scene, made)
+        options = replace(self.whole.options, report="any", at_any_times=False)
+        share = self.search(made, options, self.plan.check, marks={"rest": rest})
+        of_held = torch.cat([rest, share.held.ghosts["rest"]]) if share.ghosts is not None else rest
+        pairs = share.contacts.pairs
+        columns = columns_for_owners(share, {"pairs": pairs, "rest": of_held[pairs].all(dim=1)})
+        return columns["pairs"], columns["rest"]
+
+
+@dataclass(eq=False)
+class _SentAnew:
+    """A `pgccd.resolution.rounds.RoundSearch` of the own bodies of each rank: a round is a detection on shortened
+    paths, with ghosts sent anew.
+    """
+
+    step: _Step[Any]
+    found: Found  #: in the whole step
+    waits = True
+
+    @property
+    def passes(self) -> list[SearchPass]:
+        return self.step.whole.passes
+
+    def find_whole(self) -> list[Found]:
+        """As of `RoundSearch`."""
+        return [self.found]
+
+    def look_again(self) -> None:
+        """Nothing can have exceeded a capacity."""
+
+    def find_round(
+        self, changed: Tensor, fraction: Tensor, _capacity: BufferSizes, _first: Tensor
+    ) -> tuple[list[Found], Tensor]:
+        """As of `RoundSearch`."""
+        step = self.step
+        share = step.search(step.shorten(fraction), step.whole.options, step.plan.shortened, changed=changed)
+        found = share.contacts
+        assert isinstance(found, Contacts)
+        counts = torch.stack([search_pass.counts() for search_pass in share.passes]).sum(dim=0)
+        told = columns_for_owners(share, {"pairs": found.pairs, "toi": found.toi})
+        return [_of_own(step.whole, told)], counts
+
+
+@dataclass(frozen=True, eq=False)
+class OwnFractions:
+    """The part of its path that each own body of a rank moves.
+
+    Attributes:
+        fraction: (N,) float64.
+        stopped_by: (N,) int64, as of `WorldResolution`.
+        rounds: detections after the first.
+    """
+
+    fraction: Tensor
+    stopped_by: Tensor
+    rounds: int
+
+
+def find_fractions(
+    whole: Share,
+    scene: Scene,
+    motion: RigidMotion | VertexMotion,
+    fixed: Tensor | None,
+    rank: Rank,
+    plan: ResolutionPlan,
+    clock: StageClock,
+    keeps_common: bool = False,
+) -> OwnFractions:
+    """How far the own bodies move in a step; all ranks call it.
+
+    Args:
+        whole: the share of the whole step, by `options_of_resolution`; with a list, ghosts have the column "fixed" if
+            it is given.
+        scene: of this rank's own bodies.
+        motion: their whole step.
+        fixed: (N,) bool: bodies that may not be stopped; None: none.
+        rank: this one.
+        plan: see `ResolutionPlan`.
+        clock: records stage times.
+        keeps_common: whether `rank` learns how many bodies it holds in common with others, for a graph.
+    """
+    held, lists = whole.held, whole.options.at_any_times
+    search: RoundSearch
+    exchange: Exchange
+    if lists:
+        exchange = held_exchange = HeldExchange.start(whole, rank.decomposition)
+        search, count = listed_search(whole), len(held)
+        if fixed is not None and whole.ghosts is not None:
+            fixed = torch.cat([fixed, held.ghosts["fixed"]])
+        if keeps_common:
+            rank.learn_common(held_exchange.common(rank.decomposition.neighbours))
+    else:
+        step = _Step(whole, scene, motion, rank.decomposition, plan, clock)
+        exchange, search, count = RankExchange(rank.comm), _SentAnew(step, _first_contacts(whole)), held.own_count
+    stoppers = Stoppers(count, scene.device)
+    resolved = resolve_collisions(search, count, plan.rounds, _nothing, clock, exchange, fixed=fixed, stoppers=stoppers)
+    if lists:
+        plan.lists = is_short(*resolved.listed)
+    fraction, rounds = resolved.resolution.fraction[: held.own_count], resolved.resolution.rounds
+    return OwnFractions(fraction, _of_owners(held, stoppers.by) if lists else stoppers.by, rounds)
+
+
+def resolve_step(
+    whole: Share,
+    scene: Scene,
+    motion: M,
+    fixed: Tensor | None,
+    payload: Columns,
+    rank: Rank,
+    plan: ResolutionPlan,
+    clock: StageClock,
+) -> WorldResolution[M]:
+    """Resolves one step, and tests the shortened motion; all ranks call it.
+
+    Args:
+        payload: columns (N, ...) that `hits` carry, see `tell_owners`.
+        whole, scene, motion, fixed, rank, plan, clock: as for `find_fractions`.
+    """
+    found = find_fractions(whole, scene, motion, fixed, rank, plan, clock)
+    hits = tell_owners(whole, payload)
+    assert isinstance(hits, Contacts)
+    made = cast(M, shortened(scene, motion, found.fraction))
+    meeting, rest = hits.pairs, hits.toi == 0.0
+    if rank.comm.any(len(hits) > 0):
+        meeting, rest = _Step(whole, scene, motion, rank.decomposition, plan, clock).check(made)
+    touching = torch.cat([hits.pairs[hits.toi == 0.0], meeting[rest]]).unique(dim=0)
+    return WorldResolution(made, found.fraction, found.stopped_by, touching, meeting[~rest], found.rounds, hits)
+
+
+def _first_contacts(whole: Share) -> Found:
+    """The contacts of the own bodies in the whole step, told to this rank."""
+    contacts = whole.contacts
+    assert isinstance(contacts, Contacts)
+    return _of_own(whole, columns_for_owners(whole, {"pairs": contacts.pairs, "toi": contacts.toi}))
+
+
+def _of_own(whole: Share, columns: Columns) -> Found:
+    return Found(rows_of(whole.held.own_id, columns["pairs"]), columns["pairs"], columns["toi"])
+
+
+def _of_owners(held: Held, by: Tensor) -> Tensor:
+    """(N,): of own bodies, the least of the values (N + G,) that the ranks that hold them have."""
+    own, of_ghosts = by.split([held.own_count, held.ghost_count])
+    if held.route.neighbours.comm.size == 1:
+        return own
+    answer = held.route.back({"by": of_ghosts.contiguous()}).wait()["by"]
+    return own.scatter_reduce(0, held.route.rows, answer, "amin")
+
+
+def _nothing(fraction: Tensor) -> Tensor:
+    return torch.empty(0, dtype=torch.int64, device=fraction.device)

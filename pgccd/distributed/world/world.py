@@ -44,10 +44,12 @@ from pgccd.distributed.world.options import Movable, Names, NewBodies, NewWorld,
 from pgccd.distributed.world.own_bodies import OwnBodies
 from pgccd.distributed.world.population import with_more, without
 from pgccd.distributed.world.resolve import (
-    ResolutionEstimates,
-    ResolvedStep,
+    OwnFractions,
+    ResolutionPlan,
     WorldResolution,
+    find_fractions,
     options_of_resolution,
+    resolve_step,
     vertices_of,
 )
 from pgccd.distributed.world.state import WorldState, agreed_partition, require_alike, state_given
@@ -56,6 +58,7 @@ from pgccd.geometry.mesh import Mesh
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import PathKind, RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
+from pgccd.resolution.listed import is_on_arcs
 from pgccd.resolution.results import M
 from pgccd.resolution.trajectories import TrajectoryResolution, resolve_segments
 from pgccd.runtime.stages import StageClock
@@ -111,7 +114,7 @@ class World(OwnBodies, Generic[R]):
         self.found: Share | None = None
         self.steps_made, self._seconds = state.steps_made, 0.0
         self.columns, self._vertices, self.next_id = state.columns, state.vertices, state.next_id
-        self._resolution_estimates = ResolutionEstimates()
+        self._resolution_plan = ResolutionPlan()
 
     @overload
     @classmethod
@@ -468,13 +471,11 @@ class World(OwnBodies, Generic[R]):
     def _resolve(
         self, motion: Any, fixed: Tensor | None, carried: Columns
     ) -> WorldResolution[Any] | TrajectoryResolution:
-        steps_made = self.steps_made
+        steps_made, plan = self.steps_made, self._resolution_plan
 
         def step(scene: Scene, motion: RigidMotion | VertexMotion) -> WorldResolution[Any]:
-            clock, options = StageClock(), options_of_resolution(self.options)
-            whole = self._search(self.id, scene, motion, options, carried)
-            decomposition, estimates = self._rank.decomposition, self._resolution_estimates
-            resolved = ResolvedStep(whole, scene, motion, fixed, carried, decomposition, estimates, clock).resolve()
+            clock, whole = StageClock(), self._search_to_resolve(scene, motion, fixed, carried)
+            resolved = resolve_step(whole, scene, motion, fixed, carried, self._rank, plan, clock)
             self._seconds += clock.work
             return resolved
 
@@ -483,12 +484,31 @@ class World(OwnBodies, Generic[R]):
         self.steps_made = steps_made + 1
         return resolved
 
+    def _search_to_resolve(
+        self, scene: Scene, motion: RigidMotion | VertexMotion, fixed: Tensor | None, carried: Columns
+    ) -> Share:
+        """The search of the whole step, and of the pairs of rounds if these are to be listed."""
+        lists = self._resolution_plan.lists and is_on_arcs(motion)
+        marks = {} if fixed is None else {"fixed": fixed}
+        return self._search(self.id, scene, motion, options_of_resolution(self.options, lists), carried | marks)
+
+    def _fractions(self, motion: RigidMotion, fixed: Tensor | None, keeps_common: bool) -> OwnFractions:
+        """How far the own bodies move in a step, whose shortened motion is not tested again."""
+        scene, clock = self._current_scene(), StageClock()
+        whole = self._search_to_resolve(scene, motion, fixed, {})
+        plan = self._resolution_plan
+        found = find_fractions(whole, scene, motion, fixed, self._rank, plan, clock, keeps_common)
+        self._seconds += clock.work
+        return found
+
     def _search(
         self, id: Tensor, scene: Scene, motion: RigidMotion | VertexMotion, options: SearchOptions, carried: Columns
     ) -> Share:
         clock = StageClock()
         with clock.stage("plan"):
             bodies = MovingBodies.of(scene, motion, wait=False)
+            if options.at_any_times:
+                bodies = bodies.stoppable()
         share, _ = self._rank.search(
             columns_to_send(id, bodies) | carried,
             bodies,

@@ -1,4 +1,4 @@
-"""Agreement between ranks on the first toi of robots that several of them hold."""
+"""Agreement between ranks on the first toi of bodies that several of them hold."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from pgccd import ops
+from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.comm.neighbourhood import Neighbourhood
 from pgccd.distributed.comm.peer_memory import PeerMessages, RowsOfRanks
 from pgccd.distributed.detection.share import Share
@@ -16,8 +17,40 @@ from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.runtime.host_copy import HostCopy
 
 
-class HeldExchange:
-    """Exchange of the first toi of bodies held by several ranks (`pgccd.sim.Exchange`).
+class RankExchange:
+    """A `pgccd.resolution.rounds.Exchange` of ranks whose searches tell the owners of bodies what they found.
+
+    Args:
+        comm: between the ranks.
+    """
+
+    shares_found = False
+
+    def __init__(self, comm: Comm) -> None:
+        self._comm = comm
+
+    @property
+    def rank(self) -> int:
+        return self._comm.rank
+
+    @property
+    def ranks(self) -> int:
+        return self._comm.size
+
+    def share(self, first: Tensor, found: Tensor | None = None, anywhere: Tensor | None = None) -> None:
+        """Nothing is to be shared."""
+
+    def gather(self, values: Tensor) -> Tensor:
+        """values (k,) -> (ranks, k): those of every rank."""
+        return self._comm.all_gather(values)
+
+    def any(self, value: Tensor) -> bool:
+        """Whether value (1,) is nonzero on any rank."""
+        return self._comm.any(bool(value))
+
+
+class HeldExchange(RankExchange):
+    """Exchange of the first toi of bodies that several ranks hold.
 
     All ranks that hold a body exchange messages directly. Its owner has the list of these ranks, the others derive it
     from the swept box; two ranks list the bodies that both hold in the same order, by owner, then by id.
@@ -34,7 +67,7 @@ class HeldExchange:
     _known: HostCopy
 
     def __init__(self, decomposition: Decomposition, peers: PeerMessages | None = None) -> None:
-        self._comm = decomposition.comm
+        super().__init__(decomposition.comm)
         self._neighbours = decomposition.neighbours
         self._peers = peers
 
@@ -99,15 +132,7 @@ class HeldExchange:
         return neighbours.renumber(self._neighbours, torch.tensor(self._shared[1])).tolist()
 
     @property
-    def rank(self) -> int:
-        return self._comm.rank
-
-    @property
-    def ranks(self) -> int:
-        return self._comm.size
-
-    @property
-    def shares_found(self) -> bool:
+    def shares_found(self) -> bool:  # type: ignore[override]
         return self._peers is not None
 
     def share(self, first: Tensor, found: Tensor | None = None, anywhere: Tensor | None = None) -> None:
@@ -120,7 +145,7 @@ class HeldExchange:
             self._peers.lower(first, shared, shared, found, anywhere)
             return
         answer = self._neighbours.exchange(ops.pack_rows([first], rows), counts, counts).wait()
-        ops.simulate_first_toi(first, None, self._twice, answer.view(first.dtype)[:, 0])
+        ops.resolve_first_toi(first, self._twice, answer.view(first.dtype)[:, 0])
 
     def gather(self, values: Tensor) -> Tensor:
         """values (k,) -> (ranks, k): those of every rank."""
