@@ -123,9 +123,12 @@ class ListedSearch:
     def _search(
         self, changed: Tensor, fraction: Tensor, pairs: Tensor, capacity: BufferSizes, first: Tensor
     ) -> tuple[list[Found], Tensor]:
-        given = self._own, self._ghosts, fraction, changed, pairs, *self._rule
-        count = self._count(given, capacity, pairs)
-        found, bodies, pair_counts = ops.resolve_pairs(*given, count)
+
+        def look(room: int) -> tuple[Tensor, list[Tensor], Tensor]:
+            return ops.resolve_pairs(self._own, self._ghosts, fraction, changed, pairs, *self._rule, room)
+
+        count = self._count(look, capacity, pairs)
+        found, bodies, pair_counts = look(count)
         copies, meshes = self._copies_of(count), self._meshes.tensors
         if not self._lists_contacts:
             counts = lower_first_toi(first, found, meshes, bodies, False, copies, pair_counts, self._query, capacity)
@@ -145,9 +148,9 @@ class ListedSearch:
         id = held if self._id is None else ids_of(self._id, held)
         return [Found(held, id, rows[4])], counts[: len(COUNT_ROWS)]
 
-    def _count(self, given: Any, capacity: BufferSizes, pairs: Tensor) -> int:
+    def _count(self, look: Callable[[int], Sequence[Any]], capacity: BufferSizes, pairs: Tensor) -> int:
         """Number of pairs that a round has room for: on a CPU exact."""
-        return int(ops.resolve_pairs(*given, 0)[2][_PAIRS]) if pairs.device.type == "cpu" else capacity.pairs
+        return int(look(0)[2][_PAIRS]) if pairs.device.type == "cpu" else capacity.pairs
 
     def _copies_of(self, count: int) -> Tensor:
         """(count, 2): rows of the two bodies of each pair among the copies."""

@@ -189,9 +189,15 @@ def test_spheres_contain_bodies_that_are_stopped() -> None:
             abs(f * Fraction(w) - Fraction(r))
             for w, r in zip(motion.rotation[row].tolist(), ends.rotation[row].tolist(), strict=True)
         )
-        arm = Fraction(float(bodies.reach[row])) + Fraction(float((bodies.centre_t0 - motion.position_t0)[row].norm()))
-        growth = Fraction(float(grown.reach[row])) - Fraction(float(bodies.reach[row]))
+        reach = Fraction(float(bodies.reach[row]))
+        arm = reach + Fraction(float((bodies.centre_t0 - motion.position_t0)[row].norm()))
+        growth = Fraction(float(grown.reach[row])) - reach
         assert stray + turn * arm <= growth
+        furthest = max(map(abs, start + end))
+        rotation = sum(abs(Fraction(w)) for w in motion.rotation[row].tolist())
+        offset = sum(map(abs, map(Fraction, (bodies.centre_t0 - motion.position_t0)[row].tolist())))
+        proven = Fraction(32, 2**53) * furthest + Fraction(4, 2**53) * rotation * (reach + offset)
+        assert 1 - Fraction(1, 2**30) < growth / proven < 1 + Fraction(1, 100)  # as in docs/explanation/exactness.md
         least = min(least, growth / (stray + turn * arm)) if stray else least
     assert least < 64  # the bound is not far above what occurs
 

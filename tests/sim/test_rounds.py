@@ -292,7 +292,7 @@ class Calls(TorchDispatchMode):
 class Unread(ListedSearch):
     """Does not read the number of pairs, as on a GPU."""
 
-    def _count(self, given: Any, capacity: BufferSizes, pairs: Tensor) -> int:
+    def _count(self, look: Any, capacity: BufferSizes, pairs: Tensor) -> int:
         return len(pairs)
 
 
