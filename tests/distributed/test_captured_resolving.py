@@ -18,8 +18,9 @@ from pgccd.distributed import BalanceOptions, Bodies, CapturedWorld, Comm, World
 from pgccd.distributed.comm.interface import Alone
 from pgccd.distributed.halo import sizes as halo_sizes
 from pgccd.distributed.steps import replayed as rank_steps
-from pgccd.distributed.world import captured as captured_world
+from pgccd.distributed.world import graphs
 from pgccd.resolution.counts import SearchCounts
+from pgccd.resolution.round_plan import RecentRounds
 
 SIDE, STEPS, SPACING = 5, 24, 1.7
 BOX = SIDE * SPACING
@@ -64,6 +65,28 @@ def response(bodies: Bodies, shortened: pgccd.RigidMotion, fraction: Tensor) -> 
         "w": torch.where((fraction < 1.0)[:, None], spin, bodies.payload["w"]),
         "made": bodies.payload["made"] + fraction,
     }
+
+
+def planned(bodies: Bodies) -> tuple[pgccd.RigidMotion, dict[str, Tensor]]:
+    """Bodies steer a little in each step; the response finds the new courses."""
+    steered = bodies.payload["v"] + 0.01 * torch.sin(bodies.position + bodies.step)
+    payload = bodies.payload | {"v": steered}
+    return motion(Bodies(bodies.id, bodies.position, bodies.mesh_index, payload, bodies.step)), {"v": steered}
+
+
+def tally(bodies: Bodies, moved: pgccd.RigidMotion, answer: Tensor, pairs: Tensor, toi: Tensor) -> Tensor:
+    """Number of bodies, contacts, sums of ids of contacts, of bodies that stop, and of bits of columns."""
+    own, found = bodies.id >= 0, pairs[:, 0] >= 0
+    bits = [bodies.position, bodies.payload["v"], moved.rotation]
+    numbers = [
+        own.sum(),
+        found.sum(),
+        pairs[found].sum(),
+        (own & (answer < 1.0)).sum(),
+        (own & (toi.amin() < 0.5)).sum(),
+    ]
+    numbers += [column[own].view(torch.int64).sum() for column in bits]
+    return torch.stack(numbers)
 
 
 def movable(bodies: Bodies) -> Tensor:
@@ -166,7 +189,7 @@ def test_nothing_moves_in_a_step_that_is_incomplete(device: torch.device) -> Non
         return response(bodies, shortened, fraction)
 
     with graphs_on(device) as stack:
-        stack.enter_context(mock.patch.object(captured_world, "SearchCounts", Losing))
+        stack.enter_context(mock.patch.object(graphs, "SearchCounts", Losing))
         world = spread(Alone(), device, "report")
         steps = CapturedWorld(world, noted, answer, True, resolve=True, movable=movable).run(STEPS)
         assert [step.replayed for step in steps].index(False, 1) == 9
@@ -178,7 +201,7 @@ def test_more_rounds_than_were_captured(device: torch.device) -> None:
     """A step that needs more rounds than the graph has is repeated."""
     expected, counts = plain_loop(STEPS, "report")
     with graphs_on(device) as stack:
-        stack.enter_context(mock.patch.object(captured_world.RecentRounds, "to_capture", 2))
+        stack.enter_context(mock.patch.object(RecentRounds, "to_capture", 2))
         world = spread(Alone(), device, "report")
         steps = CapturedWorld(world, motion, response, True, resolve=True, movable=movable).run(STEPS)
         require_columns(world, expected)
@@ -220,3 +243,59 @@ def test_linear_paths_run_eagerly() -> None:
         return {"position": shortened.position_t1}
 
     assert not any(step.replayed for step in CapturedWorld(world, straight, go, resolve=True).run(6))
+
+
+@functools.cache
+def steered_loop(steps: int) -> tuple[dict[str, Tensor], list[list[int]]]:
+    """As `plain_loop`, of bodies that steer: the final columns, and what is tallied in each step."""
+    now, scene, tallied = dict(start()), scene_alone(), []
+    for step in range(steps):
+        payload = {name: now[name] for name in ("q", "v", "w", "made")}
+        bodies = Bodies(torch.arange(COUNT), now["position"], now["mesh_index"], payload, torch.tensor([step]))
+        moving, changed = planned(bodies)
+        hits = pgccd.detect(scene, moving, nonzero_toi=True)
+        resolved = pgccd.resolve(scene, moving)
+        now |= changed
+        bodies = Bodies(bodies.id, bodies.position, bodies.mesh_index, payload | changed, bodies.step)
+        now |= response(bodies, resolved.motion, resolved.fraction)
+        after = Bodies(bodies.id, now["position"], bodies.mesh_index, {"v": now["v"]}, bodies.step)
+        tallied.append(tally(after, resolved.motion, resolved.fraction, hits.pairs, hits.toi).tolist())
+    return now, tallied
+
+
+def steer(comm: Comm, graph: bool) -> list[bool]:
+    expected, tallied = steered_loop(14)
+    with graphs_on("cpu" if graph else "none"):
+        world = spread(comm, torch.device("cpu"), "report")
+        steps = CapturedWorld(world, planned, response, graph, resolve=True, tally=tally).run(14)
+        require_columns(world, expected)
+    differs = [k for k in range(8) if k != 4]  # toi of the earliest contact of each rank
+    assert [[step.tally[k] for k in differs] for step in steps] == [[row[k] for k in differs] for row in tallied]
+    return [step.replayed for step in steps]
+
+
+def test_payload_of_the_motion_and_tallies(world: Ranks) -> None:
+    assert not any(world(steer, False)[0])
+    assert sum(world(steer, True)[0]) > 6
+
+
+def test_what_functions_of_a_step_return_is_checked() -> None:
+    world = spread(Alone(), torch.device("cpu"), "report")
+    still = lambda bodies: pgccd.RigidMotion.at_rest(bodies.position, bodies.payload["q"])  # noqa: E731
+    position = {"position": world.position}
+    wrong: list[tuple[dict[str, Any], str]] = [
+        (
+            {"motion": lambda bodies: (still(bodies), {"u": bodies.position})},
+            "motion: 'u' is not a payload of this world",
+        ),
+        ({"motion": lambda bodies: (still(bodies), {"v": bodies.id})}, r"motion: 'v': expected \(125, 3\) float64"),
+        ({"motion": lambda bodies: (still(bodies), 1)}, "motion: expected a pgccd.RigidMotion"),
+        ({"tally": lambda *_: torch.zeros(2)}, r"tally: expected an int64 tensor \(k,\) to be returned"),
+        ({"tally": lambda *_: torch.zeros((), dtype=torch.int64)}, r"tally: expected an int64 tensor \(k,\)"),
+    ]
+    for functions, message in wrong:
+        given: dict[str, Any] = {"motion": still, "response": lambda *_: position} | functions
+        with pytest.raises((TypeError, ValueError), match=f"^{message}"):
+            CapturedWorld(world, **given).run(1)
+    with pytest.raises(TypeError, match="^tally: expected a function, got"):
+        CapturedWorld(world, still, lambda *_: position, tally=1)  # type: ignore[arg-type]
