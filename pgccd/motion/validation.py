@@ -5,6 +5,7 @@ name the column and the row, and give the value.
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import torch
 from torch import Tensor
@@ -80,6 +81,7 @@ class Checked:
         check: of each row.
         row: the meaning of a row, "body" or "vertex".
         source: the argument that the column is computed from.
+        origin: that argument, if it is there, which errors then name.
     """
 
     name: str
@@ -87,11 +89,14 @@ class Checked:
     check: Check
     row: str
     source: str | None = None
+    origin: "Checked | None" = None
 
     def problem(self, index: int, number: int | None = None, later: bool = False) -> str:
         """What is wrong with a row, whose number in the error is `number`, by default its index; without its values if
         they may be others by now (`later`).
         """
+        if self.origin is not None and self.origin.check.is_invalid(self.origin.values[index].tolist()):
+            return self.origin.problem(index, number, later)
         follows = "" if self.source is None else f" (it follows from {self.source})"
         found = "" if later else self.check.found(self.values[index])
         where = f"{self.row} {index if number is None else number}"
@@ -109,10 +114,24 @@ def checks_of(names: Iterable[str]) -> tuple[list[int], list[float]]:
     return [CHECK_NUMBERS[check.kind] for check in checks], [check.limit for check in checks]
 
 
-def columns_checked(columns: Mapping[str, Tensor], row: str, sources: Mapping[str, str] | None = None) -> list[Checked]:
-    """The columns of a motion, by name, with their checks."""
-    source = sources or {}
-    return [Checked(name, values, check_of(name), row, source=source.get(name)) for name, values in columns.items()]
+def columns_checked(
+    columns: Mapping[str, Tensor],
+    row: str,
+    sources: Mapping[str, str] = MappingProxyType({}),
+    given: Mapping[str, Tensor] = MappingProxyType({}),
+) -> list[Checked]:
+    """The columns of a motion, by name, with their checks.
+
+    Args:
+        sources: for a column, the argument that it is computed from.
+        given: such arguments.
+    """
+    checked = []
+    for name, values in columns.items():
+        source = sources.get(name)
+        origin = Checked(source, given[source], check_of(source), row) if source in given else None
+        checked.append(Checked(name, values, check_of(name), row, source, origin))
+    return checked
 
 
 def first_invalid_rows(columns: Sequence[Checked]) -> Tensor:

@@ -49,7 +49,6 @@ class ShortenedSearch:
     def start_round(self, changed: Tensor, fraction: Tensor, capacity: BufferSizes, first: Tensor) -> Tensor:
         """As `RoundSearch.start_round`."""
         motion = shortened(self.scene, self.motion, fraction)
-        motion._is_trusted = True  # it is checked with the whole step
         bodies = MovingBodies.of(self.scene, motion, wait=False)
         made = self._exactly(bodies, changed) if self._waits(capacity) else self._within(bodies, changed, capacity)
         pairs, toi = made.first_contacts()

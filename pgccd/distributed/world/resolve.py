@@ -110,7 +110,6 @@ class ResolvedStep(Generic[M]):
         while comm.any(self._slow_down(bodies, stoppers, rounds, columns)):
             rounds += 1
             motion = shortened(self.scene, self.motion, bodies.fraction)
-            motion._is_trusted = True  # it is checked with the whole step
             share = self._search(motion, options, self.estimates.rounds, changed=bodies.changed)
             found = share.contacts
             assert isinstance(found, Contacts)
