@@ -65,16 +65,21 @@ class MovingColumns:
         Raises:
             ValueError: a column requires grad.
         """
-        columns = dict(zip(self._names, self._values(), strict=True))
-        for name, column in columns.items():
+        return dict(zip(self._names, self._plain(), strict=True))
+
+    def _plain(self) -> list[Tensor]:
+        """As `columns`, without names."""
+        values = self._values()
+        for place, column in enumerate(values):
             if column.requires_grad:
+                name = self._names[place]
                 arguments.refuse_gradient(column, self._sources.get(name, name))
-                columns[name] = column.detach()
-        return columns
+                values[place] = column.detach()
+        return values
 
     def _refuse_gradient(self) -> None:
         """Raises ValueError naming the first argument that requires grad while gradients are enabled."""
-        self.columns()
+        self._plain()
 
     def _detached(self: _Self) -> _Self:
         """The motion without gradients; itself if it has none."""
@@ -91,7 +96,7 @@ class MovingColumns:
         """Raises ValueError naming the first row with a number that is not finite or too large, or a quaternion that is
         not unit.
         """
-        first = ops.first_invalid_rows(list(self.columns().values()), *self._checks).tolist()
+        first = ops.first_invalid_rows(self._plain(), *self._checks).tolist()
         if first[-1]:
             Validation(self._checked()).raise_from(first)
 

@@ -18,7 +18,7 @@ UNIT_TOLERANCE = 1e-3
 # Squares of larger coordinates overflow.
 LARGEST_COORDINATE = arguments.LONGEST
 # Error bounds of sine and cosine are proven up to this angle.
-_LARGEST_TURN = 1e6
+LARGEST_TURN = 1e6
 # The operator's numbers (enum RowCheck of csrc/kernels/bounds/validation.h).
 CHECK_NUMBERS = {"magnitude": 0, "unit_length": 1, "length": 2, "range": 3}
 
@@ -60,7 +60,7 @@ class Check:
 
 _FINITE = Check("magnitude", LARGEST_COORDINATE, f"finite numbers up to {LARGEST_COORDINATE:g}")
 _UNIT = Check("unit_length", UNIT_TOLERANCE, "a unit quaternion (w, x, y, z)")
-_TURN = Check("length", _LARGEST_TURN, f"a turn of at most {_LARGEST_TURN:g} radians in the step")
+_TURN = Check("length", LARGEST_TURN, f"a turn of at most {LARGEST_TURN:g} radians in the step")
 MARGIN = Check("range", LARGEST_COORDINATE, arguments.LENGTH)
 # By name of a column of a motion.
 _CHECKS = {
@@ -129,7 +129,9 @@ def columns_checked(
     checked = []
     for name, values in columns.items():
         source = sources.get(name)
-        origin = Checked(source, given[source], check_of(source), row) if source in given else None
+        origin = None
+        if source is not None and source in given:
+            origin = Checked(source, given[source], check_of(source), row)
         checked.append(Checked(name, values, check_of(name), row, source, origin))
     return checked
 

@@ -31,6 +31,7 @@ class MovingBodies:
         centre_t0, centre_t1, reach: (N, 3), (N, 3), (N,) float64: the swept spheres that broad phases test. At every t
             the body and its margin are within `reach` of the point at fraction t of the way from `centre_t0` to
             `centre_t1`, its SBV centres at t0 and t1.
+        device: of all tensors.
         boxes: (N, 28) float32: boxes that move with the bodies, which broad phases test too (csrc/core/moving_box.h);
             None if every mesh fills much of its SBV.
 
@@ -49,9 +50,10 @@ class MovingBodies:
         invalid_rows: Tensor | None = None,
     ) -> None:
         self.scene, self._motion = scene, motion
+        self.device = scene.device
         self.linear_path = linear_path
         self.deforming = deforming
-        self.tensors = tensors
+        self.tensors = tensors if scene.margin is None else [*tensors, scene.margin]
         # What is invalid, as `_validation` understands it. None: nothing is.
         self._invalid_rows = invalid_rows
         _, self.centre_t0, self.centre_t1, self.reach, *_ = tensors
@@ -76,21 +78,20 @@ class MovingBodies:
         if not isinstance(motion, (RigidMotion, VertexMotion)):
             kinds = "a pgccd.RigidMotion or pgccd.VertexMotion"
             raise TypeError(f"motion: expected {kinds}, got {arguments.describe(motion)}")
-        columns = motion.columns()
+        columns = motion._plain()
         if scene.margin is not None or scene._fixed:
             scene._refuse()
-        first = next(iter(columns.values()))
-        if scene.device != first.device:
-            raise ValueError(f"motion: is on {first.device}, the scene on {scene.device}")
+        if scene.device != columns[0].device:
+            raise ValueError(f"motion: is on {columns[0].device}, the scene on {scene.device}")
         if isinstance(motion, RigidMotion):
-            if first.shape[0] != scene.body_count:
-                raise ValueError(f"motion: has {first.shape[0]} bodies, the scene {scene.body_count}")
-            radius, invalid_rows = _sound_radii(scene, *columns.values())
-            _, position_t1, *turn = columns.values()
-            tensors = _with_margin(scene, [scene.mesh_index, first, position_t1, radius, *turn])
+            position_t0, position_t1, orientation, rotation = columns
+            if position_t0.shape[0] != scene.body_count:
+                raise ValueError(f"motion: has {position_t0.shape[0]} bodies, the scene {scene.body_count}")
+            radius, invalid_rows = _sound_radii(scene, position_t0, position_t1, orientation, rotation)
+            tensors = [scene.mesh_index, position_t0, position_t1, radius, orientation, rotation]
             bodies = cls(scene, motion, tensors, motion.path == "linear", False, invalid_rows)
         else:
-            bodies = cls(scene, motion, _deforming(scene, columns), True, True)
+            bodies = cls(scene, motion, _deforming(scene, *columns), True, True)
             bodies._invalid_rows = bodies._find_invalid_rows()
         if wait:
             bodies._raise_invalid(bodies._first_invalid_rows().tolist())
@@ -117,10 +118,10 @@ class MovingBodies:
         scene = Scene._of_checked(meshes, index, radius, **optional)
         deforming = "x_t0" in columns
         if deforming:
-            tensors = _deforming(scene, {name: columns[name] for name in ("x_t0", "x_t1")})
+            tensors = _deforming(scene, columns["x_t0"], columns["x_t1"])
         else:
             position_t0, position_t1, *turn = (columns[name] for name in _OF_MOTION)
-            tensors = _with_margin(scene, [index, position_t0, position_t1, radius, *turn])
+            tensors = [index, position_t0, position_t1, radius, *turn]
         return cls(scene, None, tensors, linear_path or deforming, deforming)
 
     @property
@@ -171,8 +172,8 @@ class MovingBodies:
 
     def _find_invalid_rows(self) -> Tensor:
         if not self.deforming:
-            _, position_t0, position_t1, _, *turn = self.tensors[:6]
-            return _sound_radii(self.scene, position_t0, position_t1, *turn)[1]
+            _, position_t0, position_t1, _, orientation, rotation = self.tensors[:6]
+            return _sound_radii(self.scene, position_t0, position_t1, orientation, rotation)[1]
         return joined(first_invalid_rows(self._validation.columns), first_invalid_radius(self.radius))
 
     @property
@@ -187,11 +188,6 @@ class MovingBodies:
         """Raises ValueError if the values of `_first_invalid_rows` include an invalid row."""
         if first[-1]:
             self._validation.raise_from(first)
-
-    @property
-    def device(self) -> torch.device:
-        """The device of the scene and of the motion."""
-        return self.scene.device
 
     @property
     def mesh_set(self) -> list[Tensor]:
@@ -246,18 +242,16 @@ def check_scene(scene: Scene) -> None:
         Validation(columns).raise_from(first_invalid_rows(columns).tolist())
 
 
-def _with_margin(scene: Scene, tensors: list[Tensor]) -> list[Tensor]:
-    return tensors if scene.margin is None else [*tensors, scene.margin]
-
-
-def _sound_radii(scene: Scene, *columns: Tensor) -> tuple[Tensor, Tensor]:
+def _sound_radii(
+    scene: Scene, position_t0: Tensor, position_t1: Tensor, orientation: Tensor, rotation: Tensor
+) -> tuple[Tensor, Tensor]:
     """Radii and `_first_invalid_rows` of rigid bodies with these columns of a motion."""
-    return ops.sound_radii(scene.meshes.radius, scene.mesh_index, scene._given_radius, *columns, scene.margin)
+    moving = position_t0, position_t1, orientation, rotation
+    return ops.sound_radii(scene.meshes.radius, scene.mesh_index, scene._given_radius, *moving, scene.margin)
 
 
-def _deforming(scene: Scene, columns: Mapping[str, Tensor]) -> list[Tensor]:
+def _deforming(scene: Scene, x_t0: Tensor, x_t1: Tensor) -> list[Tensor]:
     layout = scene.layout
-    x_t0, x_t1 = columns.values()
     if len(x_t0) != layout.vertex_count:
         expected = f"the scene's bodies have {layout.vertex_count}"
         raise ValueError(f"motion: x_t0 has {len(x_t0)} vertices, {expected}")
@@ -271,4 +265,4 @@ def _deforming(scene: Scene, columns: Mapping[str, Tensor]) -> list[Tensor]:
         layout.block_count,
     )
     moving = [radius, x_t0, x_t1, blocks_t0, blocks_t1, layout.vertex_begin, layout.block_begin]
-    return _with_margin(scene, [scene.mesh_index, position_t0, position_t1, *moving])
+    return [scene.mesh_index, position_t0, position_t1, *moving]

@@ -275,7 +275,7 @@ class CapturedDetection(Generic[P]):
             self._graph = None
 
     def _inputs(self) -> list[object]:
-        """What a graph has captured for good. Where vertices of bodies begin was found when `mesh_index` was written."""
+        """What a graph has captured for good. Rows of vertices follow from `mesh_index`."""
         scene, motion = self.scene, self.motion
         columns = [getattr(scene, name) for name in ("mesh_index", "self_collision", *OPTIONAL_COLUMNS)]
         written = None if scene.mesh_index.is_inference() else scene.mesh_index._version

@@ -43,7 +43,7 @@ def warn_of_only_body(scene: Scene, motion: RigidMotion | VertexMotion | Traject
 
 def warn_of_rounded_positions(scene: Scene, motion: RigidMotion | VertexMotion | Trajectory) -> None:
     """Warns that float32 has rounded the positions of a rigid body to multiples of its own size."""
-    if not motion._is_of_float32 or torch.compiler.is_compiling():
+    if isinstance(motion, VertexMotion) or not motion._is_of_float32 or torch.compiler.is_compiling():
         return
     if isinstance(motion, Trajectory):
         if motion.orientation is None:

@@ -278,8 +278,14 @@ def detect(
     elif normals == "surface":
         sites = Sites.of(found, scene, motion, found.pairs)
         found.normal = surface_normals(sites, found.normal.cpu()).to(scene.device)
-    found._found_with = {"report": report, "min_separation": min_separation, "tolerance": tolerance}
-    found._found_with |= {"nonzero_toi": nonzero_toi, "initial": initial, "normals": normals}
+    found._found_with = {
+        "report": report,
+        "min_separation": min_separation,
+        "tolerance": tolerance,
+        "nonzero_toi": nonzero_toi,
+        "initial": initial,
+        "normals": normals,
+    }
     return found
 
 

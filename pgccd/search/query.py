@@ -7,7 +7,7 @@ from pgccd.search import narrow
 from pgccd.search.checks import Initial, check_separation, operator_tolerance, tests_start
 
 
-@dataclass(frozen=True)
+@dataclass
 class Query:
     """The options of `pgccd.detect` that its stages share.
 
@@ -29,6 +29,5 @@ class Query:
         arguments.choice(self.report, "report", narrow.REPORTS)
         separation = check_separation(self.min_separation)
         tolerance = operator_tolerance(self.tolerance)
-        settings = separation, tolerance, arguments.flag(self.nonzero_toi, "nonzero_toi")
-        object.__setattr__(self, "settings", settings)
-        object.__setattr__(self, "tests_start", tests_start(self.initial))
+        self.settings = separation, tolerance, arguments.flag(self.nonzero_toi, "nonzero_toi")
+        self.tests_start = tests_start(self.initial)

@@ -366,6 +366,31 @@ def test_errors_give_the_value(device: torch.device) -> None:
                 pgccd.detect(scene, motion, pairs=torch.tensor(pairs))
 
 
+def test_radii_of_bodies_with_sound_rows(device: torch.device) -> None:
+    x, q = torch.zeros((4, 3)), torch.tensor([[1.0, 0, 0, 0]]).repeat(4, 1)
+    columns = [column.double().to(device) for column in (x, x.clone(), q, x.clone(), torch.ones(4))]
+    of_meshes = torch.tensor([2.0, 3.0], dtype=torch.float64, device=device)
+    index = torch.tensor([1, 0, 0, 1], dtype=torch.int32, device=device)
+    given = torch.tensor([4.0, -INF, 5.0, 6.0], dtype=torch.float64, device=device)
+
+    def radii(given: torch.Tensor | None, *changed: tuple[int, int, float]) -> tuple[list[float], list[int]]:
+        p0, p1, turned, rotation, margin = written = [column.clone() for column in columns]
+        for column, row, value in changed:
+            written[column][row] = value
+        radius, first = pgccd.ops.sound_radii(of_meshes, index, given, p0, p1, turned, rotation, margin)
+        return radius.tolist(), first.tolist()
+
+    assert radii(None) == ([3.0, 2.0, 2.0, 3.0], [4, 4, 4, 4, 4, 4, 0])
+    assert radii(given) == ([4.0, -INF, 5.0, 6.0], [4, 4, 4, 4, 4, 0])
+    wrong = [(0, 3, NAN), (1, 0, 1.01e150), (2, 2, 0.51), (3, 2, 5.8e5), (4, 3, -1.0)]
+    assert radii(None, *wrong) == ([-INF, 2.0, -INF, -INF], [3, 0, 2, 2, 4, 3, 1])
+    assert radii(None, (0, 0, 1e150), (2, 0, 0.5004), (3, 1, 5.7e5), (4, 2, 1e150))[1] == [4, 4, 4, 4, 4, 4, 0]
+    for mesh in (-1, 2):
+        index[1] = mesh
+        assert radii(None) == ([3.0, -INF, 2.0, 3.0], [4, 4, 4, 4, 1, 4, 1])
+    assert radii(given)[1] == [4, 4, 4, 4, 4, 0]
+
+
 def test_numbers_of_checks() -> None:
     """They are those of the operator, which refuses others."""
     column = torch.tensor([[0.5], [-0.5], [2.0], [NAN]], dtype=torch.float64)
