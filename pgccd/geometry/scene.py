@@ -294,7 +294,7 @@ class Scene:
             return self._given_radius.clone()
         if self.device.type == "cpu":
             require_meshes(self.mesh_index, len(self.meshes))
-        return self.meshes.radius.index_select(0, self._sound_index)
+        return self.meshes.radius.index_select(0, self._sound_index if self._is_of_user else self.mesh_index)
 
     def _leave_out(self, is_padding: Tensor) -> None:
         """Gives the bodies marked by (N,) bool a negative radius, so that no pair contains them."""
