@@ -8,7 +8,9 @@ namespace pgccd {
 void first_invalid_rows(const Executor& executor, const std::vector<RowColumn>& columns, const SoundRadii& radii,
                         int64_t* first) {
   constexpr int64_t kGrain = 4096;
-  for (int64_t body = 0; body < radii.count; ++body) radii.out[body] = radius_of(radii, body);
+  parallel_chunks(executor, radii.count, kGrain, [&](int, int64_t begin, int64_t end) {
+    for (int64_t body = begin; body < end; ++body) radii.out[body] = radius_of(radii, body);
+  });
   bool any = false;
   for (size_t k = 0; k < columns.size(); ++k) {
     const RowColumn& column = columns[k];
