@@ -34,7 +34,7 @@ LENGTH = f"a finite length >= 0, at most {LONGEST:g}"
 
 def length(value: Any, name: str) -> float:
     """The value as a float, if it is a length in [0, 1e150]."""
-    result = number(value, name, LENGTH)
+    result = value if type(value) is float else number(value, name, LENGTH)
     if not 0.0 <= result <= LONGEST:
         raise ValueError(f"{name}: expected {LENGTH}, got {result}")
     return result

@@ -28,11 +28,6 @@ template <class Session>
 struct DetectOps {
   static Tensor first_invalid_rows(const TensorList& columns, const std::vector<int64_t>& checks,
                                    const std::vector<double>& limits) {
-    return find_invalid_rows(columns, checks, limits, {});
-  }
-
-  static Tensor find_invalid_rows(const TensorList& columns, const std::vector<int64_t>& checks,
-                                  const std::vector<double>& limits, const SoundRadii& radii) {
     STD_TORCH_CHECK(!columns.empty() && checks.size() == columns.size() && limits.size() == columns.size(),
                     "columns: expected equal numbers of checks and limits, at least one");
     std::vector<RowColumn> views;
@@ -44,8 +39,37 @@ struct DetectOps {
       views.push_back({values, columns[k].size(0), width, static_cast<RowCheck>(checks[k]), limits[k]});
     }
     Tensor first = new_tensor<int64_t>(columns[0], {static_cast<int64_t>(columns.size()) + 1});
-    pgccd::first_invalid_rows(Session(columns[0]).context(), views, radii, data<int64_t>(first));
+    pgccd::first_invalid_rows(Session(columns[0]).context(), views, {}, data<int64_t>(first));
     return first;
+  }
+
+  // The radii of rigid bodies, and the first invalid rows of the four columns of their motion, of mesh_index unless
+  // radii are given, and of margin if there is one.
+  static std::tuple<Tensor, Tensor> sound_radii(const Tensor& of_meshes, const Tensor& mesh_index,
+                                                const std::optional<Tensor>& given, const Tensor& position_t0,
+                                                const Tensor& position_t1, const Tensor& orientation,
+                                                const Tensor& rotation, const std::optional<Tensor>& margin) {
+    const int64_t count = mesh_index.size(0), mesh_count = of_meshes.size(0);
+    const int32_t* const meshes = rows<int32_t>(mesh_index, "mesh_index", {kAnySize});
+    std::vector<RowColumn> columns{
+        {rows<double>(position_t0, "position_t0", {count, 3}), count, 3, RowCheck::kMagnitude, kLargestCoordinate},
+        {rows<double>(position_t1, "position_t1", {count, 3}), count, 3, RowCheck::kMagnitude, kLargestCoordinate},
+        {rows<double>(orientation, "orientation", {count, 4}), count, 4, RowCheck::kUnitLength, kUnitTolerance},
+        {rows<double>(rotation, "rotation", {count, 3}), count, 3, RowCheck::kLength, kLargestTurn}};
+    if (!given) columns.push_back({nullptr, count, 1, RowCheck::kRange, mesh_count - 1.0, meshes});
+    if (margin) {
+      columns.push_back({rows<double>(*margin, "margin", {count}), count, 1, RowCheck::kRange, kLargestCoordinate});
+    }
+    Tensor radius = new_tensor<double>(position_t0, {count});
+    Tensor first = new_tensor<int64_t>(position_t0, {static_cast<int64_t>(columns.size()) + 1});
+    const SoundRadii radii{optional_column<double>(given, "given", count),
+                           rows<double>(of_meshes, "of_meshes", {kAnySize}),
+                           meshes,
+                           mesh_count,
+                           data<double>(radius),
+                           count};
+    pgccd::first_invalid_rows(Session(position_t0).context(), columns, radii, data<int64_t>(first));
+    return {radius, first};
   }
 
   static Tensor rotations_between(const Tensor& orientation_t0, const Tensor& orientation_t1) {
@@ -253,6 +277,7 @@ template <class Session>
 void register_detect_ops(Library& library) {
   using Ops = DetectOps<Session>;
   library.impl("first_invalid_rows", PGCCD_BOX(Ops::first_invalid_rows));
+  library.impl("sound_radii", PGCCD_BOX(Ops::sound_radii));
   library.impl("rotations_between", PGCCD_BOX(Ops::rotations_between));
   library.impl("poses_at", PGCCD_BOX(Ops::poses_at));
   library.impl("moving_spheres", PGCCD_BOX(Ops::moving_spheres));

@@ -33,14 +33,12 @@ struct PaddedOps {
     return {rows, counts};
   }
 
-  // A whole step: checks of the poses and of more columns, unless known_invalid_rows are given, then the pairs, then
-  // their contacts. With a buffer `reach`, the pairs of bodies with valid rows are found even if others are invalid.
+  // A whole step: the pairs, then their contacts. If a row is invalid, no pairs are found; but with `searches_sound`
+  // those of all bodies whose spheres have a radius >= 0.
   static Found detect_rigid(const TensorList& mesh_set, const TensorList& bodies, bool linear_path,
                             const TensorList& spheres, const std::optional<Tensor>& group,
                             const std::optional<Tensor>& mask, const std::optional<Tensor>& world,
-                            const std::optional<Tensor>& is_static, const std::optional<Tensor>& known_invalid_rows,
-                            std::optional<Tensor> reach, const TensorList& more_columns,
-                            const std::vector<int64_t>& checks, const std::vector<double>& limits,
+                            const std::optional<Tensor>& is_static, const Tensor& invalid_rows, bool searches_sound,
                             double min_separation, double tolerance, bool nonzero_toi, bool tests_start, int64_t report,
                             int64_t broad_phase, const std::vector<int64_t>& pair_capacity,
                             const std::vector<int64_t>& capacity, const std::optional<Tensor>& boxes) {
@@ -54,24 +52,9 @@ struct PaddedOps {
     BroadBodies swept = broad_view(sphere[0], sphere[1], sphere[2], group, mask, world, is_static, {}, boxes,
                                    {min_separation, tolerance});
     STD_TORCH_CHECK(swept.count == count, "spheres: expected ", count, ", one a body, got ", swept.count);
-    STD_TORCH_CHECK(!known_invalid_rows || !reach, "reach: expected none where invalid_rows are given");
-    SoundRadii radii;
-    if (reach) {
-      rows<double>(*reach, "reach", {count});
-      radii = {swept.centres.radius, data<double>(*reach), count};
-      swept.centres.radius = radii.copy;
-    }
-    TensorList columns{bodies[1], bodies[2], bodies[4], bodies[5]};
-    for (const Tensor& column : more_columns) {
-      rows<double>(column, "more_columns", {count, kAnySize});
-      columns.push_back(column);
-    }
-    const Tensor invalid_rows = known_invalid_rows
-                                    ? *known_invalid_rows
-                                    : DetectOps<Session>::find_invalid_rows(columns, checks, limits, radii);
     const int64_t* const first = rows<int64_t>(invalid_rows, "invalid_rows", {kAnySize});
     STD_TORCH_CHECK(invalid_rows.size(0) > 0, "invalid_rows: expected a number at least");
-    if (!reach) swept.is_invalid = first + invalid_rows.size(0) - 1;
+    if (!searches_sound) swept.is_invalid = first + invalid_rows.size(0) - 1;
     check_capacity(pair_capacity, 3);
     check_contact_capacity(capacity);
     const Tensor& like = bodies[1];

@@ -23,6 +23,12 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
   // Checks of columns (., width): 0 magnitude of each number, 1 |length - 1| within the limit, 2 length, 3 each number
   // from 0 to the limit.
   library.def("first_invalid_rows(Tensor[] columns, int[] checks, float[] limits) -> Tensor");
+  // radius (N,) of rigid bodies: `given`, or of_meshes (M,) by mesh_index (N,) i32; -inf where a row is invalid.
+  // invalid_rows as of first_invalid_rows: position_t0, position_t1, orientation, rotation, mesh_index unless radii are
+  // given, margin if there is one.
+  library.def(
+      "sound_radii(Tensor of_meshes, Tensor mesh_index, Tensor? given, Tensor position_t0, Tensor position_t1, "
+      "Tensor orientation, Tensor rotation, Tensor? margin) -> (Tensor radius, Tensor invalid_rows)");
   library.def("rotations_between(Tensor orientation_t0, Tensor orientation_t1) -> Tensor");
   library.def(
       "refit(Tensor[] mesh_set, Tensor mesh_index, Tensor vertices_t0, Tensor vertices_t1, Tensor vertex_begin, "
@@ -78,18 +84,16 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
       "Tensor invalid_rows, float min_separation, float tolerance, bool nonzero_toi, bool tests_start, int report, "
       "int[] capacity) -> (Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor counts)");
   // A whole step: pairs_padded of the spheres = [position_t0, position_t1, radius], then contacts_padded_rigid. If
-  // `spheres` is empty, the bodies' own spheres are used; the bodies must then be centred, without margins. The poses,
-  // bodies[1, 2, 4, 5], and more_columns (N, width) f64 are checked as by first_invalid_rows, unless `invalid_rows` is
-  // given. If a row is invalid, no pairs are found; but with a buffer `reach` (N,) f64 those of all valid bodies: the
-  // spheres' radii are written to it, -inf for invalid bodies. If capacity.contacts is -1, all pairs found are
-  // returned, or none if there are more than pair_capacity.pairs.
+  // `spheres` is empty, the bodies' own spheres are used; the bodies must then be centred, without margins. If
+  // invalid_rows, as of sound_radii, says that a row is invalid, no pairs are found; but with searches_sound those of
+  // all bodies whose sphere has a radius >= 0. If capacity.contacts is -1, all pairs found are returned, or none if
+  // there are more than pair_capacity.pairs.
   library.def(
       "detect_rigid(Tensor[] mesh_set, Tensor[] bodies, bool linear_path, Tensor[] spheres, Tensor? group, "
-      "Tensor? mask, Tensor? world, Tensor? is_static, Tensor? invalid_rows, Tensor(a!)? reach, Tensor[] more_columns, "
-      "int[] checks, float[] limits, float min_separation, float tolerance, bool nonzero_toi, bool tests_start, "
-      "int report, int broad_phase, int[] pair_capacity, int[] capacity, Tensor? boxes=None) -> (Tensor, Tensor, "
-      "Tensor, "
-      "Tensor, Tensor, Tensor, Tensor, Tensor, Tensor counts)");
+      "Tensor? mask, Tensor? world, Tensor? is_static, Tensor invalid_rows, bool searches_sound, float min_separation, "
+      "float tolerance, bool nonzero_toi, bool tests_start, int report, int broad_phase, int[] pair_capacity, "
+      "int[] capacity, Tensor? boxes=None) -> (Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, "
+      "Tensor counts)");
   // Lowers first (N,) f64 at the owners (P, 2) i64 of each pair; capacity without contacts, counts without
   // invalid_rows.
   library.def(

@@ -97,7 +97,7 @@ def recede(
     with torch.no_grad():
         copies, steps = copies._detached(), steps._detached()
         if slack is None:
-            slacks = RELATIVE_TOLERANCE * copies._current_radius()[bodies].amin(1)
+            slacks = RELATIVE_TOLERANCE * copies.radius[bodies].amin(1)
         else:
             slacks = torch.full((len(bodies),), slack, dtype=torch.float64, device=bodies.device)
         sites = Sites.of(hits, copies, steps, bodies)

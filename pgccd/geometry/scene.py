@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Hashable, Iterable, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -113,9 +113,10 @@ class Scene:
         exclude: (E, 2) integers: pairs of bodies that are never tested, such as links joined by a joint; in any order.
             Default none.
 
-    `mesh_index`, `group`, `mask`, `world`, `static` and `margin` may be written to or replaced later, and are validated
-    at each use, as the poses of a motion are; `self_collision` and `exclude` are fixed. A margin given
-    as a Python number or list is float64; a float64 tensor or array is shared, not copied.
+    `mesh_index`, `group`, `mask`, `world`, `static` and `margin` may be written to, or replaced by tensors of the same
+    dtype, shape and device; their values are validated at each use, as the poses of a motion are. `self_collision` and
+    `exclude` are fixed. A margin given as a Python number or list is float64; a float64 tensor or array is shared, not
+    copied.
 
     Attributes:
         meshes: the meshes, concatenated: a `MeshSet`.
@@ -167,26 +168,55 @@ class Scene:
             raise ValueError(f"device: the MeshSet is on {self.device}, not {device}")
         if mesh_index is None:
             mesh_index = list(range(len(meshes)))
-        self.mesh_index = integer_column(mesh_index, "mesh_index", None, self.device)
-        self.body_count = len(self.mesh_index)
-        require_meshes(self.mesh_index, len(meshes))
-        self.mesh_index = self.mesh_index.to(torch.int32)
-        count = self.body_count
+        mesh_index = integer_column(mesh_index, "mesh_index", None, self.device)
+        require_meshes(mesh_index, len(meshes))
+        self.body_count = count = len(mesh_index)
+        self.mesh_index = mesh_index.to(torch.int32)
         self.group = None if group is None else integer_column(group, "group", count, self.device)
         self.mask = None if mask is None else integer_column(mask, "mask", count, self.device)
         self.world = None if world is None else world_column(world, count, self.device)
         self.static = None if static is None else bool_column(static, "static", count, self.device)
         _ = self.world_count  # computed now, so that a step need not synchronise
         self.margin = None if margin is None else margin_column(margin, count, self.device)
-        self.self_collision = self_column(self_collision, count, self.device)
-        if self.self_collision is not None and self.static is not None:
-            self.self_collision &= self.static == 0
+        own = self_column(self_collision, count, self.device)
+        self.self_collision = own if own is None or self.static is None else own & (self.static == 0)
         self._count_self_colliding()
         self.exclude = None if exclude is None else pairs_never_tested(exclude, count, self.device)
         self._remember()
 
-    #: Whether the columns come from a validated scene and are not checked again.
-    _is_trusted: bool = False
+    meshes: MeshSet
+    device: torch.device
+    body_count: int
+    mesh_index: Tensor
+    group: Tensor | None
+    mask: Tensor | None
+    world: Tensor | None
+    static: Tensor | None
+    margin: Tensor | None
+    self_collision: Tensor | None
+    exclude: Tensor | None
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name in _DTYPES and (value is not None or name == "mesh_index"):
+            self._check_column(name, value)
+        elif name in _FIXED and name in self.__dict__:
+            raise ValueError(f"{name}: it is fixed: make a new Scene")
+        super().__setattr__(name, value)
+
+    def _check_column(self, name: str, column: Any) -> None:
+        """Raises TypeError or ValueError unless the column has the dtype, shape and device of its name."""
+        dtype = _DTYPES[name]
+        if not isinstance(column, Tensor) or column.dtype != dtype:
+            expected = f"{arguments.dtype_name(dtype)} in a scene"
+            raise TypeError(f"{name}: expected {expected}, got {arguments.describe(column)}")
+        if column.shape != (self.body_count,) or column.device != self.device:
+            expected = f"shape ({self.body_count},) on {self.device}"
+            raise ValueError(f"{name}: expected {expected}, got {tuple(column.shape)} on {column.device}")
+        if not column.is_contiguous():
+            raise ValueError(f"{name}: expected a contiguous tensor")
+
+    #: Whether a user made the scene, who is warned of what it does not test.
+    _is_of_user: bool = True
 
     # Capacity estimates by kind of step, managed by `pgccd.search.memory`. They change how often a step is repeated
     # on a GPU, never its result.
@@ -208,27 +238,24 @@ class Scene:
         cls,
         meshes: MeshSet,
         mesh_index: Tensor,
-        self_collision: Tensor | None = None,
         radius: Tensor | None = None,
-        **columns: Tensor,
+        **columns: Tensor | None,
     ) -> Scene:
         """From columns of a scene that has been validated: rows of its `mesh_index`, `group`, `margin` and so on.
-        Nothing is checked, now or later.
 
         Args:
-            radius: (N,) of the bodies' SBVs. Default: those of the meshes.
+            radius: (N,) of the bodies' SBVs; `mesh_index` is then never checked. Default: those of the meshes.
 
         Example:
             >>> part = pgccd.Scene._of_checked(scene.meshes, scene.mesh_index[rows])
         """
         scene = cls.__new__(cls)
-        scene.meshes, scene.device, scene._is_trusted = meshes, meshes.device, True
-        scene.mesh_index, scene.body_count = mesh_index, mesh_index.shape[0]
-        for name in OPTIONAL_COLUMNS:
-            setattr(scene, name, columns.get(name))
-        scene.self_collision, scene._given_radius = self_collision, radius
+        given = dict.fromkeys((*OPTIONAL_COLUMNS, *_FIXED)) | columns
+        scene.__dict__.update(
+            given, meshes=meshes, device=meshes.device, mesh_index=mesh_index, body_count=mesh_index.shape[0]
+        )
+        scene.__dict__.update(_given_radius=radius, _is_of_user=False)
         scene._count_self_colliding()
-        scene.exclude = None
         return scene
 
     def _count_self_colliding(self) -> None:
@@ -245,70 +272,38 @@ class Scene:
 
     # The radius given to `_of_checked`, and cached values derived from `mesh_index` and `world`.
     _given_radius: Tensor | None = None
-    _radius: _Derived | None = None
     _layout: _Derived | None = None
     _world_count: _Derived | None = None
-    # The `mesh_index` whose values have been validated, and the `self_collision` that `_self_colliding` follows.
-    _validated_index: _Derived | None = None
-    _fixed: _Derived | None = None
-    _fixed_exclude: _Derived | None = None
+    # `self_collision`, which `_self_colliding` follows, and `exclude`, as given by a user.
+    _fixed: Mapping[str, _Fixed] = {}
     # The number of bodies after which `exclude` repeats, in a scene of several copies. Default: that of all bodies.
     _exclude_period: int | None = None
 
     def _remember(self) -> None:
-        self._validated_index = _Derived(self.mesh_index, None)
-        self._fixed = None if self.self_collision is None else _Fixed(self.self_collision, None)
-        self._fixed_exclude = None if self.exclude is None else _Fixed(self.exclude, None)
+        given = {name: getattr(self, name) for name in _FIXED}
+        self._fixed = {name: _Fixed(column, None) for name, column in given.items() if column is not None}
 
     @property
     def radius(self) -> Tensor:
-        """SBV radius of each body's mesh, (N,) float64; a copy."""
-        return self._current_radius().clone()
-
-    def _current_radius(self) -> Tensor:
-        """As `radius`, not a copy; of the meshes of `_sound_index`.
+        """SBV radius of each body's mesh, (N,) float64; a copy.
 
         Raises:
             ValueError: on a CPU, if a mesh is out of range.
         """
         if self._given_radius is not None:
-            return self._given_radius
-        if self._is_recorded() and (self._radius is None or len(self.meshes) > 1):
-            return self._radius_of_meshes()
-        if self._radius is None or not self._radius.is_of(self.mesh_index):
-            if self.device.type == "cpu" and not self._is_trusted:
-                require_meshes(self.mesh_index, len(self.meshes))
-            self._radius = _Derived(self.mesh_index, self._radius_of_meshes())
-        return self._radius.value
+            return self._given_radius.clone()
+        if self.device.type == "cpu":
+            require_meshes(self.mesh_index, len(self.meshes))
+        return self.meshes.radius.index_select(0, self._sound_index if self._is_of_user else self.mesh_index)
 
     def _leave_out(self, is_padding: Tensor) -> None:
         """Gives the bodies marked by (N,) bool a negative radius, so that no pair contains them."""
-        self._given_radius = torch.where(is_padding, -torch.inf, self._current_radius())
-
-    def _radius_of_meshes(self) -> Tensor:
-        return self.meshes.radius.index_select(0, self._sound_index())
-
-    def _sound_index(self) -> Tensor:
-        """`mesh_index`; where `_must_check_index` is true, numbers out of range are replaced by others."""
-        return self.mesh_index.clamp(0, len(self.meshes) - 1) if self._must_check_index else self.mesh_index
+        self._given_radius = torch.where(is_padding, -torch.inf, self.radius)
 
     @property
-    def _must_check_index(self) -> bool:
-        """Whether the values of `mesh_index` may be invalid, and only the device can tell: they have been written since
-        they were validated, or will be between replays of a graph.
-        """
-        if self._is_trusted:
-            return False
-        if self._is_recorded():
-            return len(self.meshes) > 1
-        known = self._validated_index
-        return self.device.type != "cpu" and not (known is not None and known.is_of(self.mesh_index))
-
-    def _is_recorded(self) -> bool:
-        """Whether work is being recorded for later values of the columns, from which nothing can be derived yet."""
-        if torch.compiler.is_compiling():
-            return True
-        return self.device.type == "cuda" and torch.cuda.is_current_stream_capturing()
+    def _sound_index(self) -> Tensor:
+        """`mesh_index`, with numbers out of range, which checks report, replaced by others."""
+        return self.mesh_index.clamp(0, len(self.meshes) - 1)
 
     @property
     def layout(self) -> VertexLayout:
@@ -350,35 +345,13 @@ class Scene:
         plain.margin = self.margin.detach()
         return plain
 
-    def _check_columns(self) -> None:
-        """Raises TypeError or ValueError if a column was replaced by one of another type, shape or device, or requires
-        grad. Values are not checked.
-        """
-        for name, dtype in _DTYPES.items():
-            column = getattr(self, name)
-            if column is None and name != "mesh_index":
-                continue
-            if not isinstance(column, Tensor) or column.dtype != dtype:
-                raise TypeError(
-                    f"{name}: expected {arguments.dtype_name(dtype)} in a scene, got {arguments.describe(column)}"
-                )
-            if column.shape != (self.body_count,) or column.device != self.device:
-                expected = f"shape ({self.body_count},) on {self.device}"
-                raise ValueError(f"{name}: expected {expected}, got {tuple(column.shape)} on {column.device}")
-            if not column.is_contiguous():
-                raise ValueError(f"{name}: expected a contiguous tensor")
-            arguments.refuse_gradient(column, name)
-        self._check_fixed()
-
-    def _check_fixed(self) -> None:
-        if self._is_trusted:
-            return
-        for name, fixed in (("self_collision", self._fixed), ("exclude", self._fixed_exclude)):
-            given = getattr(self, name)
-            if fixed is None and given is None:
-                continue
-            if fixed is None or not isinstance(given, Tensor) or not fixed.is_of(given):
-                raise ValueError(f"{name}: it is fixed, but was written or replaced: make a new Scene")
+    def _refuse(self) -> None:
+        """Raises ValueError if the margin requires grad, or a fixed column was written to."""
+        if self.margin is not None:
+            arguments.refuse_gradient(self.margin, "margin")
+        for name, fixed in self._fixed.items():
+            if not fixed.is_of(getattr(self, name)):
+                raise ValueError(f"{name}: it is fixed, but was written to: make a new Scene")
 
     def __getitem__(self, rows: Tensor | slice | Sequence[int]) -> Scene:
         """The scene of some bodies: a mask (N,), row numbers or a slice. Motions are indexed in the same way. May
@@ -414,8 +387,9 @@ class Scene:
         Example:
             >>> torch.save(scene.state_dict(), "scene.pt")
         """
-        self._detached()._check_columns()
-        columns = {name: getattr(self._detached(), name) for name in _ENTRIES}
+        plain = self._detached()
+        plain._refuse()
+        columns = {name: getattr(plain, name) for name in _ENTRIES}
         return {"meshes": [mesh.state_dict() for mesh in self.meshes.meshes], **columns}
 
     @classmethod
@@ -451,15 +425,15 @@ class Scene:
             >>> scene = scene.to("cpu")
         """
         meshes = self.meshes.to(device)
-        self._check_fixed()
+        self._detached()._refuse()
         moved = copy.copy(self)
         moved.meshes, moved.device = meshes, meshes.device
-        moved._radius = moved._layout = moved._world_count = moved._own_estimates = None
-        for name in (*_DTYPES, "self_collision", "exclude", "_self_colliding", "_given_radius"):
+        moved._layout = moved._world_count = moved._own_estimates = None
+        for name in (*_ENTRIES, "_self_colliding", "_given_radius"):
             column = getattr(self, name)
             if column is not None:
-                setattr(moved, name, column.to(meshes.device))
-        if not self._is_trusted:
+                moved.__dict__[name] = column.to(meshes.device)
+        if self._is_of_user:
             require_meshes(moved.mesh_index, len(meshes))
             moved._remember()
         return moved
@@ -477,5 +451,6 @@ _DTYPES = {
     "static": torch.uint8,
     "margin": torch.float64,
 }
-# Those and what is fixed: the entries of a state_dict besides meshes.
-_ENTRIES = (*_DTYPES, "self_collision", "exclude")
+_FIXED = ("self_collision", "exclude")
+# The entries of a state_dict besides meshes.
+_ENTRIES = (*_DTYPES, *_FIXED)

@@ -1,145 +1,104 @@
-"""The columns of a motion, validated at each use: a user may modify or replace them at any time."""
+"""The columns of a motion: checked when they are given, their values wherever they are read."""
 
-import copy
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
 
-from pgccd import arguments
+from pgccd import arguments, ops
 from pgccd.arguments import real_rows
 from pgccd.motion.differentiable import any_differentiated
-from pgccd.motion.validation import Checked, Validation, columns_checked, first_invalid_rows, joined
+from pgccd.motion.validation import Checked, Validation, columns_checked, first_invalid_rows
 
 _Self = TypeVar("_Self", bound="MovingColumns")
 
 
 class MovingColumns:
-    """Base of rigid and deforming motions: named float64 columns of equal length on one device."""
+    """Base of rigid and deforming motions: named float64 columns of equal length on one device. They may be replaced by
+    others of the same shape and device, and written; operators check the values that they read.
+    """
 
     # Names of the columns that detection reads, and the meaning of a row.
     _names: tuple[str, ...] = ()
     _row = "body"
-    #: `checks` and `limits` of these columns, for `ops.detect_rigid`.
+    #: `checks` and `limits` of these columns, for `ops.first_invalid_rows`.
     _checks: tuple[list[int], list[float]] = ([], [])
-    # Arguments that are not stored as a column, and their `first_invalid_rows`.
-    _given: Mapping[str, Tensor] = {}
-    _given_invalid_rows: Tensor | None = None
-    # For a column, the argument that it is computed from.
+    # For a column, the argument that it is computed from; and such arguments, which errors name first.
     _sources: Mapping[str, str] = {}
-    #: Whether the columns come from a validated motion and are not checked again.
-    _is_trusted: bool = False
-    # Cached `_first_invalid_rows` of such columns.
-    _no_invalid_rows: Tensor | None = None
-    # Columns whose types and shapes have been checked.
-    _sound: Mapping[str, Tensor] = {}
+    _given: Mapping[str, Tensor] = {}
+    # Whether a position was given in float32, which may have rounded it.
+    _is_of_float32 = False
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name in self._names:
+            former = getattr(self, name)
+            if not isinstance(value, Tensor) or value.dtype != former.dtype:
+                raise TypeError(f"{name}: expected a float64 tensor, got {arguments.describe(value)}")
+            value = real_rows(value, name, former.shape[0], former.shape[1], former.device, with_gradient=True)
+        super().__setattr__(name, value)
+
+    @classmethod
+    def _made_of(cls: type[_Self], **attributes: Any) -> _Self:
+        """From columns that have been checked, or taken from other motions."""
+        motion = cls.__new__(cls)
+        for name, value in attributes.items():
+            object.__setattr__(motion, name, value)
+        return motion
+
+    def _with(self: _Self, **attributes: Any) -> _Self:
+        """A copy with other columns, of any number of rows."""
+        return self._made_of(**{**self.__dict__, **attributes})
 
     @property
     def device(self) -> torch.device:
         """The device of the columns."""
         return getattr(self, self._names[0]).device
 
+    def _values(self) -> list[Tensor]:
+        """The columns."""
+        raise NotImplementedError
+
     def columns(self) -> dict[str, Tensor]:
         """The current columns that detection reads.
 
         Raises:
-            TypeError, ValueError: a column was replaced by one of another type, shape or device, or requires grad.
+            ValueError: a column requires grad.
         """
-        columns = {name: getattr(self, name) for name in self._names}
-        if self._is_trusted or all(
-            name in self._sound and self._sound[name] is column and not column.requires_grad
-            for name, column in columns.items()
-        ):
-            return columns
-        self._refuse_gradient()
-        given, count, device = dict(columns), None, None
-        for name, column in given.items():
-            columns[name] = real_rows(column, name, count, 4 if name.startswith("orientation") else 3, device)
-            if column.dtype != torch.float64:
-                raise TypeError(f"{name}: expected float64, got {column.dtype}")
-            count, device = column.shape[0], column.device
-        if all(columns[name] is column for name, column in given.items()):
-            self._sound = given
-        return columns
+        return dict(zip(self._names, self._plain(), strict=True))
 
-    @property
-    def _is_differentiated(self) -> bool:
-        """Whether a column requires grad while gradients are enabled."""
-        return any_differentiated(*(getattr(self, name) for name in self._names))
+    def _plain(self) -> list[Tensor]:
+        """As `columns`, without names."""
+        values = self._values()
+        for place, column in enumerate(values):
+            if column.requires_grad:
+                name = self._names[place]
+                arguments.refuse_gradient(column, self._sources.get(name, name))
+                values[place] = column.detach()
+        return values
 
     def _refuse_gradient(self) -> None:
         """Raises ValueError naming the first argument that requires grad while gradients are enabled."""
-        for name in self._names:
-            column = getattr(self, name)
-            if isinstance(column, Tensor):
-                arguments.refuse_gradient(column, self._sources.get(name, name))
+        self._plain()
 
     def _detached(self: _Self) -> _Self:
         """The motion without gradients; itself if it has none."""
-        if not self._is_differentiated:
+        if not any_differentiated(*self._values()):
             return self
-        plain = copy.copy(self)
-        for name in self._names:
-            setattr(plain, name, getattr(self, name).detach())
-        return plain
+        return self._with(**{name: getattr(self, name).detach() for name in self._names})
 
-    def _first_invalid_rows(self, columns: Mapping[str, Tensor] | None = None, more: Sequence[Checked] = ()) -> Tensor:
-        """(F + 1,) int64 on the motion's device: the first invalid row of each argument, or the number of rows; then 1
-        if any row is invalid, else 0. Computed at each call.
-
-        Args:
-            columns: as returned by `columns()`. Default: the current ones.
-            more: columns of the scene, checked after those of the motion.
-        """
-        if not self._is_trusted:
-            columns = self.columns() if columns is None else columns
-            return joined(self._given_invalid_rows, first_invalid_rows([*self._checked(columns), *more]))
-        if more:
-            return first_invalid_rows(more)
-        if self._no_invalid_rows is None:
-            self._no_invalid_rows = torch.zeros(1, dtype=torch.int64, device=self.device)
-        return self._no_invalid_rows
-
-    @property
-    def _validation(self) -> Validation:
-        """The meaning of the values of `_first_invalid_rows`."""
-        if self._is_trusted:
-            return Validation([])
-        columns = {name: getattr(self, name) for name in self._names}
-        return Validation([*self._checked(self._given), *self._checked(columns)])
-
-    def _checked(self, columns: Mapping[str, Tensor]) -> list[Checked]:
-        return columns_checked(columns, self._row, self._sources)
-
-    @property
-    def _has_verdict(self) -> bool:
-        """Whether `_first_invalid_rows` is known, or includes arguments that are not columns."""
-        return self._is_trusted or self._given_invalid_rows is not None
-
-    @property
-    def _first_invalid_given(self) -> Tensor | None:
-        """(1,) int64 on the device: the first row that is invalid in an argument not stored as a column, or the number
-        of rows; None if all were valid.
-        """
-        return None if self._given_invalid_rows is None else self._given_invalid_rows[:-1].min().reshape(1)
+    def _checked(self) -> list[Checked]:
+        """The columns, with the meaning of their checks."""
+        columns = dict(zip(self._names, self._values(), strict=True))
+        return columns_checked(columns, self._row, self._sources, self._given)
 
     def check(self) -> None:
         """Raises ValueError naming the first row with a number that is not finite or too large, or a quaternion that is
         not unit.
         """
-        self._raise_invalid(self._first_invalid_rows().tolist())
-
-    def _raise_invalid(self, first: Sequence[int]) -> None:
-        """Raises ValueError if the values of `_first_invalid_rows` include an invalid row."""
+        first = ops.first_invalid_rows(self._plain(), *self._checks).tolist()
         if first[-1]:
-            self._validation.raise_from(first)
-
-    def _check_given(self) -> None:
-        """Raises ValueError if an argument that is not stored as a column was invalid. May synchronise with a GPU."""
-        if self._given_invalid_rows is not None:
-            self.check()
-            self._given, self._given_invalid_rows = {}, None
+            Validation(self._checked()).raise_from(first)
 
     def to(self: _Self, device: torch.device | str) -> _Self:
         """A copy on another device.
@@ -148,46 +107,37 @@ class MovingColumns:
             >>> motion = motion.to("cpu")
         """
         device = arguments.device(device)
-        moved = copy.copy(self)
-        for name in (*self._names, "_given_invalid_rows", "_no_invalid_rows"):
-            column = getattr(self, name)
-            if column is not None:
-                setattr(moved, name, column.to(device))
-        moved._given = {name: column.to(device) for name, column in self._given.items()}
-        return moved
+        given = {name: column.to(device) for name, column in self._given.items()}
+        return self._with(**{name: getattr(self, name).to(device) for name in self._names}, _given=given)
+
+    def _rows(self: _Self, rows: Tensor | slice | Sequence[int], count: int) -> _Self:
+        """Some of `count` rows."""
+        picked = arguments.rows(rows, "rows", count)
+        given = {name: column[picked] for name, column in self._given.items()}
+        return self._with(**{name: getattr(self, name)[picked].contiguous() for name in self._names}, _given=given)
 
     def state_dict(self) -> dict[str, Any]:
         """The motion as a dictionary of tensors and names, without gradients, for `torch.save` and `torch.load` with
         weights_only=True.
 
-        Raises:
-            TypeError, ValueError: the motion is invalid.
-
         Example:
             >>> torch.save(motion.state_dict(), "motion.pt")
         """
-        self._check_given()
-        return dict(self._detached().columns())
+        return self._detached().columns()
 
-    def _check_early(
-        self, origins: Mapping[str, Tensor] | None = None, given: Mapping[str, Tensor] | None = None
-    ) -> None:
-        """Checks values on a CPU; on a GPU the check is deferred.
+    def _check_early(self: _Self, origins: Mapping[str, Tensor] | None = None) -> _Self:
+        """The motion, of which values are checked now on a CPU; a GPU is not waited for.
 
         Args:
             origins: arguments from which columns are computed; errors name these first.
-            given: arguments that are not stored as columns; checked now.
         """
-        given = given or {}
         if self.device.type != "cpu" or torch.compiler.is_compiling():
-            if given:
-                self._given, self._given_invalid_rows = given, first_invalid_rows(self._checked(given))
-            return
-        columns = self._checked({**given, **self._detached().columns()})
-        first = first_invalid_rows(columns).tolist()
-        if not first[-1]:
-            return
-        if origins:
-            of_origins = columns_checked({name: column.detach() for name, column in origins.items()}, self._row)
-            Validation(of_origins).raise_from(first_invalid_rows(of_origins).tolist())
-        Validation(columns).raise_from(first)
+            return self
+        columns = [column.detach() if column.requires_grad else column for column in self._values()]
+        first = ops.first_invalid_rows(columns, *self._checks).tolist()
+        if first[-1]:
+            if origins:
+                checked = columns_checked({name: column.detach() for name, column in origins.items()}, self._row)
+                Validation(checked).raise_from(first_invalid_rows(checked).tolist())
+            Validation(self._checked()).raise_from(first)
+        return self

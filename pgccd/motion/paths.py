@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Sequence
 from functools import partial
 from typing import Any, Literal, get_args
@@ -39,8 +38,8 @@ class RigidMotion(MovingColumns):
         path: "rigid" or "linear".
 
     float32 input is widened to float64 exactly. All tensors are on one device. float64 input is shared, not copied, so
-    later writes to it change the motion. Values are checked at construction on a CPU, and at each use. Inputs may
-    require grad: see docs/how-to/gradients.md.
+    later writes to it change the motion. Columns may be replaced by others of the same shape and device. Values are
+    checked at construction on a CPU, and at each use. Inputs may require grad: see docs/how-to/gradients.md.
 
     Attributes:
         position_t0, position_t1: (N, 3) float64.
@@ -57,8 +56,16 @@ class RigidMotion(MovingColumns):
 
     _names = ("position_t0", "position_t1", "orientation_t0", "rotation")
     _checks = checks_of(_names)
-    # Whether a position was given in float32, which may have rounded it.
-    _is_of_float32 = False
+    position_t0: Tensor
+    position_t1: Tensor
+    orientation_t0: Tensor
+    rotation: Tensor
+    path: PathKind
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name == "path":
+            arguments.choice(value, "path", PATHS)
+        super().__setattr__(name, value)
 
     def __init__(
         self,
@@ -68,17 +75,24 @@ class RigidMotion(MovingColumns):
         orientation_t1: Tensor,
         path: PathKind = "rigid",
     ) -> None:
-        self._set(position_t0, orientation_t0, position_t1, path)
-        self._sources = {"rotation": "orientation_t1"}
-        orientation_t1 = _rows(orientation_t1, "orientation_t1", self.body_count, 4, self.device)
-        if any_differentiated(self.orientation_t0, orientation_t1):
-            expression = rotation_between(self.orientation_t0, orientation_t1)
+        start = _start(position_t0, orientation_t0, position_t1, path)
+        orientation_t0 = start["orientation_t0"]
+        orientation_t1 = _rows(orientation_t1, "orientation_t1", len(orientation_t0), 4, orientation_t0.device)
+        if any_differentiated(orientation_t0, orientation_t1):
+            expression = rotation_between(orientation_t0, orientation_t1)
             orientation_t1 = orientation_t1.detach()
-            value = ops.rotations_between(self.orientation_t0.detach(), orientation_t1)
-            self.rotation = with_gradient_of(value, expression, "rotation")
+            value = ops.rotations_between(orientation_t0.detach(), orientation_t1)
+            rotation = with_gradient_of(value, expression, "rotation")
         else:
-            self.rotation = ops.rotations_between(self.orientation_t0, orientation_t1)
-        self._check_early(given={"orientation_t1": orientation_t1})
+            rotation = ops.rotations_between(orientation_t0, orientation_t1)
+        # Of an orientation that is invalid the rotation is NaN.
+        given = {"orientation_t1": orientation_t1}
+        start |= {"rotation": rotation, "_sources": {"rotation": "orientation_t1"}}
+        if orientation_t1.device.type != "cpu":
+            start["_given"] = given
+        for name, value in start.items():
+            object.__setattr__(self, name, value)
+        self._check_early(given)
 
     @classmethod
     def from_velocity(
@@ -113,20 +127,18 @@ class RigidMotion(MovingColumns):
         dt = arguments.number(dt, "dt", "a finite duration >= 0")
         if not 0 <= dt < float("inf"):
             raise ValueError(f"dt: expected a finite duration >= 0, got {dt}")
-        motion = cls.__new__(cls)
         travel, turn = (velocity, spin) if dt == 1.0 else (dt * velocity, dt * spin)
-        motion._set(start, orientation, start + travel, path)
-        motion._is_of_float32 = arguments.is_float32(position)
-        motion.rotation = turn.contiguous()
-        motion._sources = {
+        sources = {
             "position_t0": "position",
             "orientation_t0": "orientation",
             "position_t1": "linear_velocity",
             "rotation": "angular_velocity",
         }
+        made = _start(start, orientation, start + travel, path)
+        made["_is_of_float32"] = arguments.is_float32(position)
+        motion = cls._made_of(**made, rotation=turn.contiguous(), _sources=sources)
         origins = {"position": start, "orientation": motion.orientation_t0}
-        motion._check_early(origins | {"linear_velocity": velocity, "angular_velocity": motion.rotation})
-        return motion
+        return motion._check_early(origins | {"linear_velocity": velocity, "angular_velocity": motion.rotation})
 
     @classmethod
     def at_rest(cls, position: Tensor, orientation: Tensor) -> RigidMotion:
@@ -143,14 +155,12 @@ class RigidMotion(MovingColumns):
         """
         start = _rows(position, "position", None, 3, None)
         orientation = _rows(orientation, "orientation", start.shape[0], 4, start.device)
-        motion = cls.__new__(cls)
-        motion._set(start, orientation, start, "rigid")
-        motion._is_of_float32 = arguments.is_float32(position)
+        made = _start(start, orientation, start, "rigid")
+        made["_is_of_float32"] = arguments.is_float32(position)
+        sources = {"position_t0": "position", "position_t1": "position", "orientation_t0": "orientation"}
         # Zero by definition, not by cancellation.
-        motion.rotation = torch.zeros_like(start)
-        motion._sources = {"position_t0": "position", "position_t1": "position", "orientation_t0": "orientation"}
-        motion._check_early({"position": start, "orientation": motion.orientation_t0})
-        return motion
+        motion = cls._made_of(**made, rotation=torch.zeros_like(start), _sources=sources)
+        return motion._check_early({"position": start, "orientation": motion.orientation_t0})
 
     @classmethod
     def from_rotation(
@@ -175,11 +185,10 @@ class RigidMotion(MovingColumns):
         Example:
             >>> again = pgccd.RigidMotion.from_rotation(m.position_t0, m.orientation_t0, m.position_t1, m.rotation)
         """
-        motion = cls.__new__(cls)
-        motion._set(position_t0, orientation_t0, position_t1, path)
-        motion.rotation = _rows(rotation, "rotation", motion.body_count, 3, motion.device)
-        motion._check_early()
-        return motion
+        start = _start(position_t0, orientation_t0, position_t1, path)
+        position_t0 = start["position_t0"]
+        rotation = _rows(rotation, "rotation", position_t0.shape[0], 3, position_t0.device)
+        return cls._made_of(**start, rotation=rotation)._check_early()
 
     @classmethod
     def _of_checked(
@@ -190,18 +199,15 @@ class RigidMotion(MovingColumns):
         rotation: Tensor,
         path: PathKind = "rigid",
     ) -> RigidMotion:
-        """As `from_rotation`, from columns of a validated motion: nothing is checked, now or later.
+        """As `from_rotation`, from columns of a validated motion: they are checked where they are read alone.
 
         Example:
             >>> part = pgccd.RigidMotion._of_checked(
             ...     *(c[rows] for c in (m.position_t0, m.orientation_t0, m.position_t1, m.rotation))
             ... )
         """
-        motion = cls.__new__(cls)
-        motion.path, motion._is_trusted = path, True
-        motion.position_t0, motion.orientation_t0 = position_t0, orientation_t0
-        motion.position_t1, motion.rotation = position_t1, rotation
-        return motion
+        ends = {"position_t0": position_t0, "position_t1": position_t1}
+        return cls._made_of(**ends, orientation_t0=orientation_t0, rotation=rotation, path=path)
 
     def state_dict(self) -> dict[str, Any]:
         """As of `MovingColumns`, with the kind of path.
@@ -227,14 +233,8 @@ class RigidMotion(MovingColumns):
         arguments.entries(state, (*cls._names, "path"))
         return cls.from_rotation(**state)
 
-    def _set(self, position_t0: Tensor, orientation_t0: Tensor, position_t1: Tensor, path: PathKind) -> None:
-        self._is_of_float32 = any(arguments.is_float32(each) for each in (position_t0, position_t1))
-        self.position_t0 = _rows(position_t0, "position_t0", None, 3, None)
-        count, device = self.position_t0.shape[0], self.position_t0.device
-        self.orientation_t0 = _rows(orientation_t0, "orientation_t0", count, 4, device)
-        self.position_t1 = _rows(position_t1, "position_t1", count, 3, device)
-        arguments.choice(path, "path", PATHS)
-        self.path: PathKind = path
+    def _values(self) -> list[Tensor]:
+        return [self.position_t0, self.position_t1, self.orientation_t0, self.rotation]
 
     @property
     def body_count(self) -> int:
@@ -297,10 +297,10 @@ class RigidMotion(MovingColumns):
             >>> half = motion.shortened(0.5)
         """
         part = fractions_of(fraction, self.body_count, self.device)[:, None]
-        shorter = copy.copy(self)
-        shorter.position_t1 = _point_at(part, self.position_t0, self.position_t1)
-        shorter.rotation = _point_at(part, torch.zeros_like(self.rotation), self.rotation)
-        return shorter
+        return self._with(
+            position_t1=_point_at(part, self.position_t0, self.position_t1),
+            rotation=_point_at(part, torch.zeros_like(self.rotation), self.rotation),
+        )
 
     def __getitem__(self, rows: Tensor | slice | Sequence[int]) -> RigidMotion:
         """The motion of some bodies: a mask (N,), row numbers or a slice.
@@ -308,12 +308,7 @@ class RigidMotion(MovingColumns):
         Example:
             >>> part = motion[:10]
         """
-        picked = arguments.rows(rows, "rows", self.body_count)
-        self._check_given()  # an error names a row of the whole motion
-        part = copy.copy(self)
-        for name in self._names:
-            setattr(part, name, getattr(self, name)[picked].contiguous())
-        return part
+        return self._rows(rows, self.body_count)
 
     def __repr__(self) -> str:
         return f"RigidMotion(bodies={self.body_count}, path={self.path!r}, device={self.device})"
@@ -338,11 +333,19 @@ class VertexMotion(MovingColumns):
     """
 
     _names, _row = ("x_t0", "x_t1"), "vertex"
+    _checks = checks_of(_names)
+
+    x_t0: Tensor
+    x_t1: Tensor
 
     def __init__(self, x_t0: Tensor, x_t1: Tensor) -> None:
-        self.x_t0 = _rows(x_t0, "x_t0", None, 3, None)
-        self.x_t1 = _rows(x_t1, "x_t1", self.x_t0.shape[0], 3, self.device)
+        x_t0 = _rows(x_t0, "x_t0", None, 3, None)
+        object.__setattr__(self, "x_t0", x_t0)
+        object.__setattr__(self, "x_t1", _rows(x_t1, "x_t1", x_t0.shape[0], 3, x_t0.device))
         self._check_early()
+
+    def _values(self) -> list[Tensor]:
+        return [self.x_t0, self.x_t1]
 
     @classmethod
     def from_state_dict(cls, state: dict[str, Any]) -> VertexMotion:
@@ -363,14 +366,12 @@ class VertexMotion(MovingColumns):
 
     @classmethod
     def _of_checked(cls, x_t0: Tensor, x_t1: Tensor) -> VertexMotion:
-        """From columns of a validated motion: nothing is checked, now or later.
+        """From columns of a validated motion: they are checked where they are read alone.
 
         Example:
             >>> part = pgccd.VertexMotion._of_checked(cloth_t0[:8], cloth_t1[:8])
         """
-        motion = cls.__new__(cls)
-        motion.x_t0, motion.x_t1, motion._is_trusted = x_t0, x_t1, True
-        return motion
+        return cls._made_of(x_t0=x_t0, x_t1=x_t1)
 
     def at(self, t: Tensor | float) -> Tensor:
         """Vertices on the path: (..., X, 3), for times in [0, 1] that broadcast against the vertices (X,): a number,
@@ -400,12 +401,25 @@ class VertexMotion(MovingColumns):
             >>> half = pgccd.VertexMotion(cloth_t0, cloth_t1).shortened(0.5)
         """
         part = fractions_of(fraction, len(self.x_t0), self.device)[:, None]
-        shorter = copy.copy(self)
-        shorter.x_t1 = _point_at(part, self.x_t0, self.x_t1)
-        return shorter
+        return self._with(x_t1=_point_at(part, self.x_t0, self.x_t1))
 
     def __repr__(self) -> str:
         return f"VertexMotion(vertices={self.x_t0.shape[0]}, device={self.device})"
+
+
+def _start(position_t0: Tensor, orientation_t0: Tensor, position_t1: Tensor, path: PathKind) -> dict[str, Any]:
+    """The attributes of a rigid motion except its rotation, checked."""
+    is_of_float32 = arguments.is_float32(position_t0) or arguments.is_float32(position_t1)
+    position_t0 = _rows(position_t0, "position_t0", None, 3, None)
+    count, device = position_t0.shape[0], position_t0.device
+    arguments.choice(path, "path", PATHS)
+    return {
+        "position_t0": position_t0,
+        "orientation_t0": _rows(orientation_t0, "orientation_t0", count, 4, device),
+        "position_t1": _rows(position_t1, "position_t1", count, 3, device),
+        "path": path,
+        "_is_of_float32": is_of_float32,
+    }
 
 
 def _point_at(fraction: Tensor, start: Tensor, end: Tensor) -> Tensor:

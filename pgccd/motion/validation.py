@@ -5,6 +5,7 @@ name the column and the row, and give the value.
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import torch
 from torch import Tensor
@@ -17,7 +18,7 @@ UNIT_TOLERANCE = 1e-3
 # Squares of larger coordinates overflow.
 LARGEST_COORDINATE = arguments.LONGEST
 # Error bounds of sine and cosine are proven up to this angle.
-_LARGEST_TURN = 1e6
+LARGEST_TURN = 1e6
 # The operator's numbers (enum RowCheck of csrc/kernels/bounds/validation.h).
 CHECK_NUMBERS = {"magnitude": 0, "unit_length": 1, "length": 2, "range": 3}
 
@@ -59,7 +60,7 @@ class Check:
 
 _FINITE = Check("magnitude", LARGEST_COORDINATE, f"finite numbers up to {LARGEST_COORDINATE:g}")
 _UNIT = Check("unit_length", UNIT_TOLERANCE, "a unit quaternion (w, x, y, z)")
-_TURN = Check("length", _LARGEST_TURN, f"a turn of at most {_LARGEST_TURN:g} radians in the step")
+_TURN = Check("length", LARGEST_TURN, f"a turn of at most {LARGEST_TURN:g} radians in the step")
 MARGIN = Check("range", LARGEST_COORDINATE, arguments.LENGTH)
 # By name of a column of a motion.
 _CHECKS = {
@@ -80,6 +81,7 @@ class Checked:
         check: of each row.
         row: the meaning of a row, "body" or "vertex".
         source: the argument that the column is computed from.
+        origin: that argument, if it is there, which errors then name.
     """
 
     name: str
@@ -87,11 +89,14 @@ class Checked:
     check: Check
     row: str
     source: str | None = None
+    origin: "Checked | None" = None
 
     def problem(self, index: int, number: int | None = None, later: bool = False) -> str:
         """What is wrong with a row, whose number in the error is `number`, by default its index; without its values if
         they may be others by now (`later`).
         """
+        if self.origin is not None and self.origin.check.is_invalid(self.origin.values[index].tolist()):
+            return self.origin.problem(index, number, later)
         follows = "" if self.source is None else f" (it follows from {self.source})"
         found = "" if later else self.check.found(self.values[index])
         where = f"{self.row} {index if number is None else number}"
@@ -109,10 +114,26 @@ def checks_of(names: Iterable[str]) -> tuple[list[int], list[float]]:
     return [CHECK_NUMBERS[check.kind] for check in checks], [check.limit for check in checks]
 
 
-def columns_checked(columns: Mapping[str, Tensor], row: str, sources: Mapping[str, str] | None = None) -> list[Checked]:
-    """The columns of a motion, by name, with their checks."""
-    source = sources or {}
-    return [Checked(name, values, check_of(name), row, source=source.get(name)) for name, values in columns.items()]
+def columns_checked(
+    columns: Mapping[str, Tensor],
+    row: str,
+    sources: Mapping[str, str] = MappingProxyType({}),
+    given: Mapping[str, Tensor] = MappingProxyType({}),
+) -> list[Checked]:
+    """The columns of a motion, by name, with their checks.
+
+    Args:
+        sources: for a column, the argument that it is computed from.
+        given: such arguments.
+    """
+    checked = []
+    for name, values in columns.items():
+        source = sources.get(name)
+        origin = None
+        if source is not None and source in given:
+            origin = Checked(source, given[source], check_of(source), row)
+        checked.append(Checked(name, values, check_of(name), row, source, origin))
+    return checked
 
 
 def first_invalid_rows(columns: Sequence[Checked]) -> Tensor:

@@ -19,6 +19,7 @@ from pgccd.ops.detection import (
     poses_at,
     refit,
     rotations_between,
+    sound_radii,
     traverse,
     vertex_face,
 )

@@ -25,8 +25,28 @@ def first_invalid_rows(columns: Sequence[Tensor], checks: Sequence[int], limits:
 
 
 @operator
+def sound_radii(
+    of_meshes: Tensor,
+    mesh_index: Tensor,
+    given: Tensor | None,
+    position_t0: Tensor,
+    position_t1: Tensor,
+    orientation: Tensor,
+    rotation: Tensor,
+    margin: Tensor | None,
+) -> tuple[Tensor, Tensor]:
+    """SBV radii (N,) of rigid bodies: `given` (N,), or those of their meshes, of_meshes (M,) by mesh_index (N,); -inf
+    where a value is invalid. And as from `first_invalid_rows`: of position_t0, position_t1 (N, 3), orientation (N, 4),
+    rotation (N, 3), mesh_index unless radii are given, and margin (N,) if there is one.
+    """
+    return torch.empty_like(position_t0[:, 0]), int64(position_t0, 5 + (given is None) + (margin is not None))
+
+
+@operator
 def rotations_between(orientation_t0: Tensor, orientation_t1: Tensor) -> Tensor:
-    """Rotation vectors (N, 3) between two orientations (N, 4), radians, world frame."""
+    """Rotation vectors (N, 3) between two orientations (N, 4), radians, world frame; NaN where the second one is no
+    unit quaternion.
+    """
     return orientation_t0.new_empty((orientation_t0.shape[0], 3))
 
 
@@ -198,11 +218,8 @@ def detect_rigid(
     mask: Tensor | None,
     world: Tensor | None,
     is_static: Tensor | None,
-    invalid_rows: Tensor | None,
-    reach: Tensor | None,
-    more_columns: Sequence[Tensor],
-    checks: Sequence[int],
-    limits: Sequence[float],
+    invalid_rows: Tensor,
+    searches_sound: bool,
     min_separation: float,
     tolerance: float,
     nonzero_toi: bool,
@@ -214,12 +231,10 @@ def detect_rigid(
     boxes: Tensor | None = None,
 ) -> tuple[Tensor, ...]:
     """`pairs_padded` for the spheres [position_t0, position_t1, radius], then `contacts_padded` for the pairs found. If
-    `spheres` is empty, the bodies' own spheres are used. invalid_rows: as from `first_invalid_rows`, or None to check
-    the bodies' poses and more_columns (N, width); checks and limits of these, in the order position_t0, position_t1,
-    orientation, rotation, more_columns. If a row is invalid there are no pairs; but with a buffer reach (N,) float64
-    those of all valid bodies: the spheres' radii are written to it, -inf for invalid bodies.
+    `spheres` is empty, the bodies' own spheres are used. invalid_rows: as from `sound_radii`. If a row is invalid there
+    are no pairs; but with `searches_sound` those of all bodies whose sphere has a radius >= 0.
     """
-    return _found(bodies[1], 5 + len(more_columns) if invalid_rows is None else invalid_rows.shape[0], capacity)
+    return _found(bodies[1], invalid_rows.shape[0], capacity)
 
 
 @operator

@@ -32,7 +32,7 @@ def operator(fake: Callable[P, R]) -> Callable[P, R]:
 
     @wraps(fake)
     def call(*arguments: P.args, **named: P.kwargs) -> Any:
-        return getattr(operators, name)(*arguments, **named)
+        return getattr(operators, name).default(*arguments, **named)  # the only overload: none is looked for
 
     return call
 
@@ -51,8 +51,8 @@ def operator_of_bodies(fake: Callable[P, R]) -> Callable[P, R]:
         given: Any = arguments
         (mesh_set, tensors, linear_path), *rest = given
         if linear_path is None:
-            return getattr(operators, deforming)(mesh_set, tensors, *rest, **named)
-        return getattr(operators, rigid)(mesh_set, tensors, linear_path, *rest, **named)
+            return getattr(operators, deforming).default(mesh_set, tensors, *rest, **named)
+        return getattr(operators, rigid).default(mesh_set, tensors, linear_path, *rest, **named)
 
     return call
 
@@ -62,9 +62,10 @@ def on_contiguous(wrapper: Callable[P, R]) -> Callable[P, R]:
 
     @wraps(wrapper)
     def call(*arguments: P.args, **named: P.kwargs) -> Any:
-        given: Any = arguments
-        made = (each.contiguous() if isinstance(each, Tensor) else [x.contiguous() for x in each] for each in given)
-        return wrapper(*made, **named)  # type: ignore[arg-type]
+        given: Any = list(arguments)
+        for place, each in enumerate(given):
+            given[place] = each.contiguous() if isinstance(each, Tensor) else list(map(Tensor.contiguous, each))
+        return wrapper(*given, **named)
 
     return call
 

@@ -56,7 +56,6 @@ class ShortenedSearch:
     ) -> tuple[list[Found], Tensor]:
         """As of `RoundSearch`."""
         motion = shortened(self.scene, self.motion, fraction)
-        motion._is_trusted = True  # it is checked with the whole step
         bodies = MovingBodies.of(self.scene, motion, wait=False)
         made = self._exactly(bodies, changed) if self._must_wait(capacity) else self._within(bodies, changed, capacity)
         return found_by([made]), made.counts()

@@ -123,6 +123,11 @@ def choose(bodies: MovingBodies, broad_phase: BroadPhase = "auto") -> BroadPhase
     """
     arguments.choice(broad_phase, "broad_phase", BROAD_PHASES)
     require_bodies(bodies)
+    return chosen_for(bodies, broad_phase)
+
+
+def chosen_for(bodies: MovingBodies, broad_phase: BroadPhase) -> BroadPhase:
+    """`choose`, of arguments that have been checked."""
     if broad_phase != "auto":
         return broad_phase
     if bodies.scene.body_count < _FEW_BODIES:

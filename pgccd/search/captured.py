@@ -170,7 +170,6 @@ class CapturedDetection(Generic[P]):
                     f"motion: {name}: expected {expected}, got {tuple(given[name].shape)} on {given[name].device}"
                 )
             column.copy_(given[name])
-        _mark_invalid_given(self.motion, motion)
 
     def replay(self) -> P:
         """Detects the collisions of the loaded motion. Waits for the call before the last, and synchronises to capture
@@ -276,7 +275,7 @@ class CapturedDetection(Generic[P]):
             self._graph = None
 
     def _inputs(self) -> list[object]:
-        """What a graph has captured for good. The radii are copies, made when `mesh_index` was written."""
+        """What a graph has captured for good. Rows of vertices follow from `mesh_index`."""
         scene, motion = self.scene, self.motion
         columns = [getattr(scene, name) for name in ("mesh_index", "self_collision", *OPTIONAL_COLUMNS)]
         written = None if scene.mesh_index.is_inference() else scene.mesh_index._version
@@ -305,19 +304,7 @@ def _copy_of(motion: RigidMotion | VertexMotion) -> RigidMotion | VertexMotion:
     columns = {name: column.clone() for name, column in motion.columns().items()}
     if isinstance(motion, VertexMotion):
         return VertexMotion(**columns)
-    copied = RigidMotion.from_rotation(**columns, path=motion.path)
-    _mark_invalid_given(copied, motion)
-    return copied
-
-
-def _mark_invalid_given(copied: RigidMotion | VertexMotion, motion: RigidMotion | VertexMotion) -> None:
-    """Makes rotations of a copy of a motion invalid from its first invalid end orientation on. These are not columns,
-    and only the first one is known.
-    """
-    first = motion._first_invalid_given
-    if first is not None and isinstance(copied, RigidMotion):
-        rows = torch.arange(copied.body_count, device=first.device)
-        copied.rotation.masked_fill_((rows >= first)[:, None], torch.nan)
+    return RigidMotion.from_rotation(**columns, path=motion.path)
 
 
 def _are_same(one: list[object], other: list[object]) -> bool:

@@ -16,6 +16,7 @@ from pgccd.search.bodies import MovingBodies
 
 #: What to do about surfaces that intersect at t = 0: see `pgccd.detect`.
 Initial = Literal["report", "assume_free"]
+INITIALS: tuple[str, ...] = get_args(Initial)
 
 #: The default tolerance, relative to the smaller SBV radius of a pair.
 RELATIVE_TOLERANCE = 1e-6
@@ -30,7 +31,7 @@ def require_bodies(bodies: MovingBodies) -> None:
 def warn_of_only_body(scene: Scene, motion: RigidMotion | VertexMotion | Trajectory) -> None:
     """Warns that the only body of a user's scene can have no contact, if it is not tested against itself."""
     deforms = isinstance(motion, VertexMotion) or (isinstance(motion, Trajectory) and motion.orientation is None)
-    if scene._is_trusted or torch.compiler.is_compiling() or (deforms and len(scene._self_colliding)):
+    if not scene._is_of_user or torch.compiler.is_compiling() or (deforms and len(scene._self_colliding)):
         return
     advice = "add the bodies that it may meet"
     if deforms:
@@ -86,7 +87,7 @@ def operator_tolerance(tolerance: float | None) -> float:
 
 def tests_start(initial: Initial) -> bool:
     """The operators' argument of that name."""
-    arguments.choice(initial, "initial", get_args(Initial))
+    arguments.choice(initial, "initial", INITIALS)
     return initial == "report"
 
 

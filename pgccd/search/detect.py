@@ -215,10 +215,12 @@ def detect(
         >>> safe = float(hits.toi[0]) if len(hits) else 1.0
         >>> x = x0 + safe * (x1 - x0)
     """
-    query = Query(report, separation_value(min_separation), tolerance, nonzero_toi, initial)
+    separation = separation_value(min_separation) if isinstance(min_separation, Tensor) else min_separation
+    query = Query(report, separation, tolerance, nonzero_toi, initial)
     if memory_budget is not None:
         memory_budget = arguments.integer(memory_budget, "memory_budget", 1, "a number of bytes > 0")
     arguments.choice(normals, "normals", NORMALS)
+    arguments.choice(broad_phase, "broad_phase", broad.BROAD_PHASES)
     if normals != "features" and capacity is not None:
         raise ValueError(f'normals: contacts in a given capacity have those of the "features", got {normals!r}')
     sizes = None if capacity is None else sizes_of(capacity)
@@ -239,7 +241,7 @@ def detect(
         warn_of_rounded_positions(scene, motion)
         return of_segments
     given = scene, motion
-    differentiated = motion._is_differentiated or any_differentiated(scene.margin, min_separation)
+    differentiated = any_differentiated(*motion._values(), scene.margin, min_separation)
     if differentiated:
         if capacity is not None:
             raise ValueError(
@@ -254,15 +256,14 @@ def detect(
         scene, motion = scene._detached(), motion._detached()
     on_cpu = scene.device.type == "cpu"
     start = time.perf_counter() if capacity is None else 0.0  # time is not available in compiled graphs
-    # An operator for the whole step also checks the poses.
+    # The operator for the whole step finds no pairs if a pose is invalid.
     is_one_operator = pairs is None and isinstance(motion, RigidMotion)
     bodies = MovingBodies.of(scene, motion, wait=on_cpu and capacity is None and not is_one_operator)
     if scene.body_count == 1:
         warn_of_only_body(scene, motion)
-    if capacity is None:  # a captured step cannot wait for an answer
+    if capacity is None and motion._is_of_float32:  # a captured step cannot wait for an answer
         warn_of_rounded_positions(scene, motion)
     seconds = time.perf_counter() - start if capacity is None else 0.0
-    broad.choose(bodies, broad_phase)  # raises for an unknown name
     if pairs is not None:
         pairs = check_pairs(pairs, scene, bodies.deforming, ascending=True)
     if sizes is not None:
@@ -277,8 +278,14 @@ def detect(
     elif normals == "surface":
         sites = Sites.of(found, scene, motion, found.pairs)
         found.normal = surface_normals(sites, found.normal.cpu()).to(scene.device)
-    found._found_with = {"report": report, "min_separation": min_separation, "tolerance": tolerance}
-    found._found_with |= {"nonzero_toi": nonzero_toi, "initial": initial, "normals": normals}
+    found._found_with = {
+        "report": report,
+        "min_separation": min_separation,
+        "tolerance": tolerance,
+        "nonzero_toi": nonzero_toi,
+        "initial": initial,
+        "normals": normals,
+    }
     return found
 
 
@@ -356,16 +363,9 @@ def _detect_exactly(
     """
     if pairs is not None or bodies.deforming or bodies.scene.exclude is not None:
         return None
-    estimate = estimate_of(bodies.scene, query, None)
-    most = pairs_a_chunk(bodies.scene, estimate, memory_budget)
-    if estimate.needed is not None and estimate.needed.pairs > most:  # predicted from the last step
-        return None
-    search = search_rigid(bodies, query, EXACTLY, broad_phase, [most, 0, 0])
+    search = search_rigid(bodies, query, EXACTLY, broad_phase, [pairs_a_chunk(bodies.scene, None, memory_budget), 0, 0])
     counts = search.read()
-    if not counts.pairs_overflow:
-        return search.contacts(counts)
-    estimate.learn(bodies.scene.body_count, counts.needed(EXACTLY))
-    return None
+    return None if counts.pairs_overflow else search.contacts(counts)
 
 
 def _detect_in_capacity(

@@ -80,17 +80,17 @@ def estimate_of(scene: Scene, query: Query, pairs: Tensor | None) -> CapacityEst
     return estimates[key]
 
 
-def pairs_a_chunk(scene: Scene, estimate: CapacityEstimate, budget: int | None, pair_count: int = 0) -> int:
+def pairs_a_chunk(scene: Scene, estimate: CapacityEstimate | None, budget: int | None, pair_count: int = 0) -> int:
     """Number of body pairs per chunk, so that memory stays within the budget.
 
     Args:
         scene: the bodies.
-        estimate: of a whole step of these bodies.
+        estimate: of a whole step of these bodies, if there is one.
         budget: `memory_budget` of the user.
         pair_count: number of all pairs; many pairs raise the default budget on a GPU.
     """
     bytes_per_pair = _BYTES_PER_PAIR
-    needed = estimate.needed
+    needed = None if estimate is None else estimate.needed
     if needed is not None and needed.pairs:
         bytes_per_pair = max(bytes_per_pair, math.ceil(needed.bytes / needed.pairs))
     limit = memory_limit(budget, pair_count * bytes_per_pair, scene.device)

@@ -10,11 +10,10 @@ from torch import Tensor
 from pgccd import ops
 from pgccd.contacts.contacts import COLUMNS, CollidingPairs, ContactRows, Contacts, contacts_of, take_earliest
 from pgccd.contacts.padded import PaddedCollidingPairs, PaddedContacts, stats_of
-from pgccd.motion.validation import CHECK_NUMBERS
 from pgccd.search import broad, narrow
 from pgccd.search.bodies import MovingBodies
 from pgccd.search.query import Query
-from pgccd.search.sizes import COUNT_ROWS, COUNTS_OF_PAIRS, BufferSizes, Counts, overflow_flags
+from pgccd.search.sizes import COUNT_ROWS, COUNTS_OF_PAIRS, EXACTLY, BufferSizes, Counts, overflow_flags
 
 
 @dataclass
@@ -122,7 +121,7 @@ def search_padded(
     else:
         chosen = None
         pair_counts = counts_of_given(pairs) if pair_counts is None else pair_counts
-        if not bodies.checked:
+        if capacity is not EXACTLY and bodies._motion is not None:  # on a CPU the caller has looked
             pair_counts = pair_counts * (1 - invalid_rows[-1:])
     *rows, counts = ops.contacts_padded(
         bodies.operands,
@@ -145,32 +144,27 @@ def search_rigid(
     pair_capacity: Sequence[int],
     marks_invalid: bool = False,
 ) -> PaddedSearch:
-    """A step of rigid bodies by one operator, which also checks the poses, unless that has been done.
+    """A step of rigid bodies by one operator.
 
     Args:
         bodies, query, capacity, broad_phase: as for `search_padded`.
         pair_capacity: of the PCS, see `ops.pairs_padded`. If `capacity` is EXACTLY and there are more pairs, no
             contacts are searched, and the overflow is counted.
-        marks_invalid: whether to search the other bodies if a pose is invalid, unless the poses have been checked: see
-            `PaddedSearch.reach`.
+        marks_invalid: whether to search the other bodies if a pose is invalid: see `PaddedSearch.reach`.
     """
-    invalid_rows = bodies._known_invalid_rows()
-    of_scene = [] if invalid_rows is not None else bodies._checked_by_operator
-    more = [column.values.to(torch.float64)[:, None] for column in of_scene]
-    checks, limits = bodies._operator_checks
-    reach = torch.empty_like(bodies.reach) if marks_invalid and invalid_rows is None else None
-    chosen = broad.choose(bodies, broad_phase)
+    chosen = broad.chosen_for(bodies, broad_phase)
+    scene, tensors, reach = bodies.scene, bodies.tensors, bodies.reach
     *rows, counts = ops.detect_rigid(
-        bodies.mesh_set,
-        bodies.tensors,
+        scene.meshes.tensors,
+        tensors,
         bodies.linear_path,
-        [] if bodies.reach is bodies.radius else [bodies.centre_t0, bodies.centre_t1, bodies.reach],
-        *broad.filters(bodies),
-        invalid_rows,
-        reach,
-        more,
-        [*checks, *(CHECK_NUMBERS[column.check.kind] for column in of_scene)],
-        [*limits, *(column.check.limit for column in of_scene)],
+        [] if reach is tensors[3] else [bodies.centre_t0, bodies.centre_t1, reach],
+        scene.group,
+        scene.mask,
+        scene.world,
+        scene.static,
+        bodies._first_invalid_rows(),
+        marks_invalid,
         *query.settings,
         query.tests_start,
         narrow.REPORTS[query.report],
@@ -179,7 +173,8 @@ def search_rigid(
         capacity.of_contacts,
         bodies.boxes,
     )
-    return PaddedSearch(bodies, query, capacity, chosen, tuple(rows), counts, reach)  # type: ignore[arg-type]
+    found = tuple(rows)
+    return PaddedSearch(bodies, query, capacity, chosen, found, counts, reach if marks_invalid else None)  # type: ignore[arg-type]
 
 
 def lower_first_toi(

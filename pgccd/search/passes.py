@@ -202,8 +202,7 @@ def find_pass(
         return FoundPairs(meeting, pairs), count
 
     def find_pairs() -> FoundPairs:
-        if not bodies.checked:
-            bodies._raise_invalid(bodies._first_invalid_rows().tolist())
+        bodies._raise_invalid(bodies._first_invalid_rows().tolist())
         chosen = broad.choose(bodies, broad_phase)
         found, count = select_pairs(broad.find_pairs_of_checked(bodies, separation, chosen, tolerance, **beyond))
         return found if count is None else found._replace(pairs=found.pairs[: int(count)])

@@ -257,7 +257,7 @@ class Counts(NamedTuple):
     @classmethod
     def of(cls, values: Sequence[int]) -> Counts:
         """From the counts of both operators, concatenated."""
-        return cls._make(values)
+        return tuple.__new__(cls, values)
 
     @property
     def overflow(self) -> bool:

@@ -40,8 +40,7 @@ def stream(
     start = time.perf_counter()
     chosen = broad.choose(bodies, broad_phase) if pairs is None else "given"
     if pairs is None:
-        if not bodies.checked:
-            bodies._raise_invalid(bodies._first_invalid_rows().tolist())
+        bodies._raise_invalid(bodies._first_invalid_rows().tolist())
         pairs = broad.find_pairs_of_checked(bodies, query.min_separation, chosen, query.tolerance)
     seconds = time.perf_counter() - start
     parts: list[Contacts | CollidingPairs] = []

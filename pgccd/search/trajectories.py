@@ -198,10 +198,10 @@ def repeated(scene: Scene, times: int) -> Scene:
     first = torch.arange(times, dtype=torch.int32, device=scene.device) * max(1, scene.world_count)
     columns["world"] = (first[:, None] + world).reshape(-1)
     own = None if scene.self_collision is None else scene.self_collision.repeat(times)
-    radius = scene._current_radius().repeat(times)
-    many = Scene._of_checked(scene.meshes, scene.mesh_index.repeat(times), own, radius, **columns)
+    fixed = {"self_collision": own, "exclude": scene.exclude}
+    many = Scene._of_checked(scene.meshes, scene.mesh_index.repeat(times), **columns, **fixed)
     many._capacity_estimates = scene._capacity_estimates
-    many.exclude, many._exclude_period = scene.exclude, scene.body_count
+    many._exclude_period = scene.body_count
     return many
 
 

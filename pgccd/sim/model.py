@@ -265,9 +265,7 @@ class Model:
         velocity, spin = state.velocity, state.angular_velocity
         if fraction is not None:
             velocity, spin = fraction[:, None] * velocity, fraction[:, None] * spin
-        motion = RigidMotion._of_checked(state.position, state.orientation, state.position + velocity, spin)
-        motion._is_trusted = False
-        return motion
+        return RigidMotion._of_checked(state.position, state.orientation, state.position + velocity, spin)
 
     def scene(self, id: Tensor) -> Scene:
         """The scene of the robots `id` (N,) int64."""

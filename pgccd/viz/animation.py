@@ -176,7 +176,7 @@ def animation_of(
     steps = _steps(motion)
     if fraction is not None and isinstance(motion, Trajectory):
         raise ValueError("fraction: expected a motion of one step, or a list of steps, got a Trajectory")
-    scene._check_columns()
+    scene._refuse()
     require_meshes(scene.mesh_index, len(scene.meshes))
     count, of_worlds = scene.body_count, _worlds(scene, world)
     is_list = not isinstance(motion, (RigidMotion, VertexMotion, Trajectory))

@@ -23,7 +23,7 @@ from pgccd.distributed import World as SharedWorld
 from pgccd.distributed.detection.options import PassEstimates, SearchOptions
 from pgccd.distributed.detection.share import Share, search_share
 from pgccd.distributed.partition.decomposition import Decomposition
-from pgccd.motion import columns as motion_columns
+from pgccd.search import bodies as moving
 from pgccd.sim import Simulation, starting_share
 
 
@@ -75,9 +75,9 @@ def test_bad_poses_and_separations_are_named() -> None:
     model = sim.Model(sim.ModelConfig(robots=8))
     state = model.start()
     decomposition = Decomposition(Alone(), Cells.uniform((-1.0,) * 3, (1.0,) * 3, 1))
-    bodies = pgccd.MovingBodies.of(model.scene(state.id), model.motion(state), wait=False)
 
     def search(options: SearchOptions) -> Share:
+        bodies = pgccd.MovingBodies.of(model.scene(state.id), model.motion(state), wait=False)
         asked = decomposition, {"id": state.id}, bodies, lambda ghosts: ghosts, options, PassEstimates()
         return search_share(*asked, beside=lambda share: None)[0]
 
@@ -142,7 +142,7 @@ def validations(comm: Comm) -> tuple[int, int]:
     world = SharedWorld.create([mesh], (0.0,) * 3, (1.0,) * 3, position, id=mine, comm=comm)
     turn = torch.eye(4).double()[:1].repeat(len(world.id), 1)
     motion = pgccd.RigidMotion.from_velocity(world.position, turn, turn[:, :3], turn[:, :3], dt=0.1)
-    with mock.patch.object(motion_columns, "first_invalid_rows", wraps=motion_columns.first_invalid_rows) as checked:
+    with mock.patch.object(moving.ops, "sound_radii", wraps=moving.ops.sound_radii) as checked:
         world.step(motion)
     assert world.found is not None
     return checked.call_count, world.found.held.ghost_count

@@ -12,7 +12,7 @@ from support.shapes import approaching
 
 import pgccd
 from pgccd import broad, narrow, sim
-from pgccd.motion.validation import CHECK_NUMBERS
+from pgccd.motion.validation import CHECK_NUMBERS, LARGEST_COORDINATE, LARGEST_TURN, UNIT_TOLERANCE
 from pgccd.search.sizes import COUNTS_OF_PAIRS, Counts
 from pgccd.sim import model
 
@@ -75,6 +75,15 @@ def test_numbers_of_enumerators(header: str, constant: str, names: Any) -> None:
     """Operators refuse numbers from this on."""
     found = re.search(rf"\b{constant} = (\d+);", (CSRC / header).read_text())
     assert found is not None and int(found[1]) == len(names)
+
+
+@pytest.mark.parametrize(
+    ("constant", "value"),
+    [("kLargestCoordinate", LARGEST_COORDINATE), ("kUnitTolerance", UNIT_TOLERANCE), ("kLargestTurn", LARGEST_TURN)],
+)
+def test_limits_of_columns(constant: str, value: float) -> None:
+    found = re.search(rf"\b{constant} = ([\d.e-]+);", (CSRC / "kernels/bounds/validation.h").read_text())
+    assert found is not None and float(found[1]) == value
 
 
 def test_a_report_without_an_enumerator_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

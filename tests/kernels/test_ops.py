@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import re
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -28,12 +29,12 @@ class Recorder:
     def __init__(self, real: Any) -> None:
         self.real, self.calls = real, []  # type: Any, list[Call]
 
-    def __getattr__(self, name: str) -> Callable[..., Any]:
+    def __getattr__(self, name: str) -> SimpleNamespace:
         def call(*arguments: Any) -> Any:
             self.calls.append((name, arguments))
             return getattr(self.real, name)(*arguments)
 
-        return call
+        return SimpleNamespace(default=call)
 
 
 def share_out(moving: pgccd.MovingBodies) -> None:

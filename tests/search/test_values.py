@@ -11,7 +11,6 @@ import torch
 from support.shapes import Bodies, approaching, tensors
 
 import pgccd
-from pgccd.geometry.scene import Scene
 from pgccd.motion.validation import CHECK_NUMBERS
 from pgccd.search.sizes import Capacity
 
@@ -130,7 +129,6 @@ def test_a_margin_written_later_is_validated(kind: str, value: float, device: to
     assert len(expected) == 1 and scene.margin is not None
     pairs = torch.tensor([[0, 1]], device=device)
     trusted = pgccd.VertexMotion._of_checked(motion.x_t0, motion.x_t1) if kind == "deforming" else motion[:]
-    trusted._is_trusted = True
     scene.margin[1] = value
     named = r"^margin: body 1: expected a finite length >= 0, at most 1e\+150, got " + str(value).replace("+", r"\+")
     calls: list[Callable[[], Any]] = [
@@ -264,11 +262,9 @@ def test_meshes_written_without_torch() -> None:
             pgccd.detect(scene, motion)
 
 
-def test_what_is_recorded_for_later_values_carries_their_check(monkeypatch: pytest.MonkeyPatch) -> None:
-    """While a graph is captured or compiled, values are not known: the flag that poses have is computed with it."""
+def test_meshes_written_later_are_validated_in_a_capacity() -> None:
     scene, motion = moving("rigid")
     expected = pgccd.detect(scene, motion)
-    monkeypatch.setattr(Scene, "_is_recorded", lambda self: True)
     assert pgccd.detect(scene, motion, capacity=Capacity.of(9)).trim() == expected
     scene.mesh_index[1] = 5
     found = pgccd.detect(scene, motion, capacity=Capacity.of(9))
@@ -325,20 +321,19 @@ def test_what_collides_with_itself_is_fixed(device: torch.device) -> None:
     none, some = (pgccd.Scene(b.meshes, device=device, self_collision=own) for own in (False, [True, False]))
     pgccd.detect(none, motion)
     pgccd.detect(some.to(device), motion)
-    none.self_collision = torch.tensor([True, True], device=device)
+    with pytest.raises(ValueError, match="^self_collision: it is fixed: make a new Scene"):
+        none.self_collision = torch.tensor([True, True], device=device)
     assert some.self_collision is not None
     some.self_collision[1] = True
-    for scene in (none, some):
-        with pytest.raises(ValueError, match="^self_collision: it is fixed, but was written or replaced"):
-            pgccd.detect(scene, motion)
+    with pytest.raises(ValueError, match="^self_collision: it is fixed, but was written to"):
+        pgccd.detect(some, motion)
 
 
 def test_a_path_replaced_by_something_else() -> None:
     scene, motion = moving("rigid")
-    motion.path = "Linear"
-    for use in (lambda: pgccd.detect(scene, motion), lambda: pgccd.MovingBodies.of(scene, motion)):
-        with pytest.raises(ValueError, match="^path: expected one of .*, got 'Linear'"):
-            use()
+    with pytest.raises(ValueError, match="^path: expected one of .*, got 'Linear'"):
+        motion.path = "Linear"
+    assert len(pgccd.detect(scene, motion)) == 1
 
 
 def test_errors_give_the_value(device: torch.device) -> None:
@@ -369,6 +364,31 @@ def test_errors_give_the_value(device: torch.device) -> None:
         for pairs, message in (([[0, 2]], r"row 0 is \[0, 2\]"), ([[0, 1], [0, 1]], r"row 0 is \[0, 1\]")):
             with pytest.raises(ValueError, match=f"^pairs: expected .*; {message}"):
                 pgccd.detect(scene, motion, pairs=torch.tensor(pairs))
+
+
+def test_radii_of_bodies_with_sound_rows(device: torch.device) -> None:
+    x, q = torch.zeros((4, 3)), torch.tensor([[1.0, 0, 0, 0]]).repeat(4, 1)
+    columns = [column.double().to(device) for column in (x, x.clone(), q, x.clone(), torch.ones(4))]
+    of_meshes = torch.tensor([2.0, 3.0], dtype=torch.float64, device=device)
+    index = torch.tensor([1, 0, 0, 1], dtype=torch.int32, device=device)
+    given = torch.tensor([4.0, -INF, 5.0, 6.0], dtype=torch.float64, device=device)
+
+    def radii(given: torch.Tensor | None, *changed: tuple[int, int, float]) -> tuple[list[float], list[int]]:
+        p0, p1, turned, rotation, margin = written = [column.clone() for column in columns]
+        for column, row, value in changed:
+            written[column][row] = value
+        radius, first = pgccd.ops.sound_radii(of_meshes, index, given, p0, p1, turned, rotation, margin)
+        return radius.tolist(), first.tolist()
+
+    assert radii(None) == ([3.0, 2.0, 2.0, 3.0], [4, 4, 4, 4, 4, 4, 0])
+    assert radii(given) == ([4.0, -INF, 5.0, 6.0], [4, 4, 4, 4, 4, 0])
+    wrong = [(0, 3, NAN), (1, 0, 1.01e150), (2, 2, 0.51), (3, 2, 5.8e5), (4, 3, -1.0)]
+    assert radii(None, *wrong) == ([-INF, 2.0, -INF, -INF], [3, 0, 2, 2, 4, 3, 1])
+    assert radii(None, (0, 0, 1e150), (2, 0, 0.5004), (3, 1, 5.7e5), (4, 2, 1e150))[1] == [4, 4, 4, 4, 4, 4, 0]
+    for mesh in (-1, 2):
+        index[1] = mesh
+        assert radii(None) == ([3.0, -INF, 2.0, 3.0], [4, 4, 4, 4, 1, 4, 1])
+    assert radii(given)[1] == [4, 4, 4, 4, 4, 0]
 
 
 def test_numbers_of_checks() -> None:

@@ -11,7 +11,8 @@
 
 namespace pgccd {
 
-// Rotation vectors between two orientations, (count, 4) each -> (count, 3), world frame, the shorter way.
+// Rotation vectors between two orientations, (count, 4) each -> (count, 3), world frame, the shorter way; NaN where the
+// second orientation is no unit quaternion, since motions keep the rotation alone.
 void rotations_between(const Executor& executor, const double* orientation_t0, const double* orientation_t1,
                        int64_t count, double* rotation);
 void rotations_between(const DeviceContext& context, const double* orientation_t0, const double* orientation_t1,

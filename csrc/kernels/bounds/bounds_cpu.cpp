@@ -54,8 +54,7 @@ void rotations_between(const Executor& executor, const double* orientation_t0, c
                        int64_t count, double* rotation) {
   parallel_chunks(executor, count, 1024, [&](int, int64_t begin, int64_t end) {
     for (int64_t b = begin; b < end; ++b) {
-      store_vec3(rotation + 3 * b,
-                 rotation_between(load_quaternion(orientation_t0 + 4 * b), load_quaternion(orientation_t1 + 4 * b)));
+      store_vec3(rotation + 3 * b, rotation_between(orientation_t0, orientation_t1, b));
     }
   });
 }

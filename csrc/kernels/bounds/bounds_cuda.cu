@@ -233,8 +233,7 @@ __global__ void __launch_bounds__(kBlockThreads) make_boxes(Bodies bodies, Movin
 void rotations_between(const DeviceContext& context, const double* orientation_t0, const double* orientation_t1,
                        int64_t count, double* rotation) {
   for_each_item(context, count, [=] __device__(int64_t b) {
-    store_vec3(rotation + 3 * b,
-               rotation_between(load_quaternion(orientation_t0 + 4 * b), load_quaternion(orientation_t1 + 4 * b)));
+    store_vec3(rotation + 3 * b, rotation_between(orientation_t0, orientation_t1, b));
   });
 }
 

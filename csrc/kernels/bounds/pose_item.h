@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "core/rotation.h"
+#include "kernels/bounds/validation.h"
 
 namespace pgccd {
 
@@ -14,6 +15,13 @@ struct RigidPoses {
   const double* rotation;     // (count, 3)
   const double* time;         // (count,) in [0, 1]
 };
+
+// The rotation vector between orientations (count, 4); NaN if the second one is no unit quaternion.
+PGCCD_HD Vec3<double> rotation_between(const double* orientation_t0, const double* orientation_t1, int64_t row) {
+  const RowColumn ends{orientation_t1, row + 1, 4, RowCheck::kUnitLength, kUnitTolerance};
+  if (is_invalid(ends, row)) return {NAN, NAN, NAN};
+  return rotation_between(load_quaternion(orientation_t0 + 4 * row), load_quaternion(orientation_t1 + 4 * row));
+}
 
 PGCCD_HD void pose_at(const RigidPoses& poses, int64_t row, double* position, double* orientation) {
   const double t = poses.time[row];

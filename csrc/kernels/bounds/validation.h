@@ -18,16 +18,23 @@ enum class RowCheck : int32_t {
   kRange = 3,       // of each number: from 0 to the limit
 };
 
+// Limits of the columns of motions and scenes.
+constexpr double kLargestCoordinate = 1e150;  // squares of larger numbers overflow
+constexpr double kUnitTolerance = 1e-3;
+constexpr double kLargestTurn = 1e6;  // error bounds of sine and cosine are proven up to it
+
 struct RowColumn {
   const double* values;  // (rows, width)
   int64_t rows;
   int32_t width;
   RowCheck check;
   double limit;
+  const int32_t* integers = nullptr;  // (rows,) in place of values, of the check kRange
 };
 
 // NaN is invalid.
 PGCCD_HD bool is_invalid(const RowColumn& column, int64_t row) {
+  if (column.integers != nullptr) return !(column.integers[row] >= 0 && column.integers[row] <= column.limit);
   const double* values = column.values + row * column.width;
   double squared = 0.0;
   bool small = true, positive = true;
@@ -42,13 +49,23 @@ PGCCD_HD bool is_invalid(const RowColumn& column, int64_t row) {
   return !((column.check == RowCheck::kUnitLength ? std::fabs(length - 1.0) : length) <= column.limit);
 }
 
-// A copy of radii of bodies, one a row of each column, with -infinity for bodies with an invalid row: these are absent
-// from broad phases.
+// SBV radii of bodies, one a row of each column: those given, else those of the meshes that the bodies name. -infinity
+// for bodies with an invalid row: these are absent from broad phases.
 struct SoundRadii {
-  const double* radius = nullptr;  // (count,)
-  double* copy = nullptr;          // (count,) or null: none is made
+  const double* given = nullptr;        // (count,) or null
+  const double* of_meshes = nullptr;    // (mesh_count,)
+  const int32_t* mesh_index = nullptr;  // (count,), may be invalid
+  int64_t mesh_count = 0;
+  double* out = nullptr;  // (count,) or null: none are found
   int64_t count = 0;
 };
+
+// The radius of a body, unless a row of it is invalid.
+PGCCD_HD double radius_of(const SoundRadii& radii, int64_t body) {
+  if (radii.given != nullptr) return radii.given[body];
+  const int32_t mesh = radii.mesh_index[body];
+  return mesh >= 0 && mesh < radii.mesh_count ? radii.of_meshes[mesh] : -INFINITY;
+}
 
 // Writes to `first` the first invalid row of each column, or its number of rows; then 1 if any row is invalid, else 0.
 void first_invalid_rows(const Executor& executor, const std::vector<RowColumn>& columns, const SoundRadii& radii,

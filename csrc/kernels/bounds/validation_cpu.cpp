@@ -1,4 +1,3 @@
-#include <algorithm>
 #include <atomic>
 #include <limits>
 
@@ -9,7 +8,9 @@ namespace pgccd {
 void first_invalid_rows(const Executor& executor, const std::vector<RowColumn>& columns, const SoundRadii& radii,
                         int64_t* first) {
   constexpr int64_t kGrain = 4096;
-  std::copy_n(radii.radius, radii.count, radii.copy);
+  parallel_chunks(executor, radii.count, kGrain, [&](int, int64_t begin, int64_t end) {
+    for (int64_t body = begin; body < end; ++body) radii.out[body] = radius_of(radii, body);
+  });
   bool any = false;
   for (size_t k = 0; k < columns.size(); ++k) {
     const RowColumn& column = columns[k];
@@ -20,8 +21,8 @@ void first_invalid_rows(const Executor& executor, const std::vector<RowColumn>& 
         int64_t seen = least.load();
         while (row < seen && !least.compare_exchange_weak(seen, row)) {
         }
-        if (radii.copy == nullptr) return;
-        radii.copy[row] = -std::numeric_limits<double>::infinity();
+        if (radii.out == nullptr) return;
+        radii.out[row] = -std::numeric_limits<double>::infinity();
       }
     });
     first[k] = least;

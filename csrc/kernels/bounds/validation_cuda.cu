@@ -39,10 +39,10 @@ void first_invalid_rows(const DeviceContext& context, const std::vector<RowColum
   }
   for_each_item(context, larger<int64_t>(all.count + 1, radii.count), [=] __device__(int64_t k) {
     if (k <= all.count) first[k] = k < all.count ? all.column[k].rows : 0;
-    if (k < radii.count) radii.copy[k] = radii.radius[k];
+    if (k < radii.count) radii.out[k] = radius_of(radii, k);
   });
   if (most == 0) return;
-  launch_kernel(context, find_invalid_rows, looping_blocks_for(context, most), kBlockThreads, all, radii.copy, first);
+  launch_kernel(context, find_invalid_rows, looping_blocks_for(context, most), kBlockThreads, all, radii.out, first);
 }
 
 }  // namespace pgccd

@@ -140,7 +140,5 @@ class Halo:
     def _check(self) -> int:
         """Validates the bodies, and returns the number of those at the boundary. Synchronises."""
         count, *invalid_rows = self._found.numpy().tolist()
-        if not self._bodies.checked:
-            self._bodies._raise_invalid(invalid_rows)
-            self._bodies.checked = True
+        self._bodies._raise_invalid(invalid_rows)
         return count

@@ -126,9 +126,7 @@ class _Step(Generic[M]):
 
     def shorten(self, fraction: Tensor) -> M:
         """The motion x_i(f_i t), given f (N,)."""
-        motion = cast(M, shortened(self.scene, self.motion, fraction))
-        motion._is_trusted = True  # it is checked with the whole step
-        return motion
+        return cast(M, shortened(self.scene, self.motion, fraction))
 
     def search(
         self,
