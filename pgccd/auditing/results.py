@@ -8,8 +8,8 @@ from typing import ClassVar
 from torch import Tensor
 
 from pgccd.contacts.contacts import COLUMNS, Contacts
+from pgccd.contacts.trajectories import TrajectoryContacts
 from pgccd.motion.paths import RigidMotion, VertexMotion
-from pgccd.search.trajectories import TrajectoryContacts
 
 
 @dataclass(eq=False, kw_only=True, repr=False)
@@ -21,7 +21,7 @@ class Passages(TrajectoryContacts):
         approach: (K,) float64 >= 0, length units per segment: the rate at which the gap closes along the normal at toi.
         measure: (K,) float64 length: (1 - toi) approach, how deep the bodies would be in each other at the next frame
             if they kept this rate.
-        pairs, toi, time, kind, features, coordinates, point, normal, status, stats, payload, scene: as of
+        pairs, toi, time, kind, features, coordinates, point, normal, status, stats, payload: as of
             `TrajectoryContacts`.
 
     Example:
@@ -95,7 +95,7 @@ class Audit:
         for segment, _ in self._kept:
             rows = self.passages[self.passages.segment == segment]
             columns = {name: getattr(rows, name) for name in COLUMNS}
-            contacts.append(Contacts(**columns, stats=rows.stats, scene=rows.scene))
+            contacts.append(Contacts(**columns, stats=rows.stats, _bodies=rows._bodies))
         return [motion for _, motion in self._kept], contacts
 
     def __repr__(self) -> str:

@@ -259,7 +259,7 @@ class _Step:
             _first_invalid_rows=invalid_rows,
             _changes=changes[-1:],
             _capacity=capacity,
-            _validation=bodies._validation,
+            _validation=bodies._validation.weakly(),
         )
 
     def _search(self, motion: RigidMotion | VertexMotion, may_wait: bool) -> tuple[Stoppers, ShortenedSearch]:

@@ -123,7 +123,7 @@ class SearchPass:
         if self._contacts is None:
             return self._padded_first_contacts
         if isinstance(self._contacts, CollidingPairs):
-            raise ValueError('report: "any" gives no toi')
+            raise ValueError("pairs that collide have no toi")
         return self.in_step(self._contacts.pairs), self._contacts.toi
 
     @functools.cached_property

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from pgccd import arguments
-from pgccd.contacts.contacts import Contacts
 from pgccd.distributed.comm.exchange import Columns, first_row
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.comm.peer_memory import RowsOfRanks
@@ -136,7 +135,7 @@ class CapturedWorld(RankSteps[WorldStep, _Committed, "_WorldGraph"]):
 
     def __init__(
         self,
-        world: World[Contacts],
+        world: World,
         motion: Motion,
         response: Response,
         graph: bool | None = None,
@@ -257,7 +256,7 @@ class _WorldGraph(TransactionGraph[_Committed]):
 
     def __init__(
         self,
-        world: World[Contacts],
+        world: World,
         motion: Motion,
         response: Response,
         decomposition: Decomposition,
