@@ -21,6 +21,7 @@ from pgccd.motion.trajectory import Trajectory
 from pgccd.resolution.resolve import resolve
 from pgccd.resolution.results import PaddedResolution, Resolution
 from pgccd.resolution.trajectories import TrajectoryResolution
+from pgccd.runtime.sizes import Capacity, CapacityError
 from pgccd.search import broad, narrow, traverse
 from pgccd.search.approaching import approaching
 from pgccd.search.bodies import MovingBodies
@@ -29,7 +30,6 @@ from pgccd.search.detect import collide, detect
 from pgccd.search.distance import Distances, distance
 from pgccd.search.enclosed import enclosed
 from pgccd.search.narrow import Report
-from pgccd.search.sizes import Capacity, CapacityError
 
 if _TYPE_CHECKING:
     from pgccd import about, baselines, distributed, files, robots, sim, simulators, viz

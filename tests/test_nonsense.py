@@ -16,7 +16,7 @@ from support.shapes import Bodies, approaching, tetrahedron
 
 import pgccd
 from pgccd import distributed, files, sim
-from pgccd.search.sizes import BufferSizes
+from pgccd.runtime.sizes import BufferSizes
 
 NAN = float("nan")
 NONSENSE: dict[str, Callable[[], Any]] = {

@@ -27,7 +27,6 @@ from pgccd.search.checks import warn_of_only_body
 from pgccd.search.detect import CollideOptions, collide, detect
 from pgccd.search.enclosed import enclosed_pairs
 from pgccd.search.query import Query
-from pgccd.search.streaming import join_contacts
 from pgccd.search.trajectories import detect_segments, repeated
 
 #: Whether bodies at rest, of several copies of a scene, do something in pairs (P, 2): (P,) bool.
@@ -115,9 +114,9 @@ class _Rows:
     parts: list[Contacts] = field(default_factory=list)
     columns: list[tuple[Tensor, Tensor]] = field(default_factory=list)  # their segments and approach
 
-    def conclude(self, scene: Scene, segments: int) -> Passages:
+    def conclude(self, segments: int) -> Passages:
         """All of them, of a rollout of so many segments."""
-        joined = join_contacts(self.parts, [each.pairs for each in self.parts])
+        joined = Contacts.cat(self.parts)
         segment, approach = (torch.cat(column) for column in zip(*self.columns, strict=True))
         columns: dict[str, Any] = joined.columns
         toi = columns["toi"]
@@ -128,7 +127,7 @@ class _Rows:
             time=time_along(segment, toi, segments),
             approach=approach,
             measure=(1.0 - toi) * approach,
-            _bodies=SceneBodies.of(scene),
+            _bodies=joined._bodies,
         )
 
 
@@ -149,7 +148,8 @@ class _Auditor:
         """Finds the passages of the next segments."""
         found, segment, pairs = detect_segments(self.scene, part, self.detect)
         assert isinstance(found, Contacts)
-        found.pairs, found.stats.bodies = pairs, self.scene.body_count
+        found.pairs, found._bodies = pairs, SceneBodies.of(self.scene)
+        found.stats.bodies = self.scene.body_count
         # A contact at toi 0 is one of the frame, unless paths have margins; of the others both frames are tested.
         starts, ends = (found.toi == 0.0) & (part.margin is None), torch.zeros_like(segment, dtype=torch.bool)
         later = torch.nonzero(~starts).flatten()
@@ -228,9 +228,9 @@ class _Auditor:
             pairs = pairs[self._at_frames(part, end, pairs, self._touch)]
             self.touching.add(pairs, torch.full_like(pairs[:, 0], self.segments), self.segments)
         return Audit(
-            self.passages.conclude(self.scene, self.segments),
+            self.passages.conclude(self.segments),
             Touching(*self.touching.conclude(self.scene.device)),
-            self.enclosed.conclude(self.scene, self.segments),
+            self.enclosed.conclude(self.segments),
             self.segments + 1,
             sorted((segment, motion) for _, segment, motion in self.kept),
         )

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar
 
+import torch
 from torch import Tensor
 
 from pgccd.contacts.contacts import COLUMNS, Contacts
+from pgccd.contacts.rows import Form, Rows
 from pgccd.contacts.trajectories import TrajectoryContacts
 from pgccd.motion.paths import RigidMotion, VertexMotion
 
@@ -35,8 +38,8 @@ class Passages(TrajectoryContacts):
     _names: ClassVar[tuple[str, ...]] = (*TrajectoryContacts._names, "approach", "measure")
 
 
-@dataclass(frozen=True, eq=False)
-class Touching:
+@dataclass(frozen=True, eq=False, repr=False)
+class Touching(Rows):
     """Pairs that touch at frames: R runs of consecutive frames, sorted by pair and frame.
 
     Attributes:
@@ -53,8 +56,12 @@ class Touching:
     first: Tensor
     last: Tensor
 
-    def __len__(self) -> int:
-        return len(self.first)
+    _names: ClassVar[tuple[str, ...]] = ("pairs", "first", "last")
+    _forms: ClassVar[Mapping[str, Form]] = {
+        "pairs": (torch.int64, (2,)),
+        "first": (torch.int64, ()),
+        "last": (torch.int64, ()),
+    }
 
     def __repr__(self) -> str:
         return f"Touching(count={len(self)})"

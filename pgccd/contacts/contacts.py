@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, NoReturn, Self
 
@@ -11,9 +11,9 @@ from torch import Tensor
 
 from pgccd import arguments
 from pgccd.contacts.by_body import By, SceneBodies, any_contact, first_time, owners
-from pgccd.contacts.rows import Columns, Form, Rows
+from pgccd.contacts.rows import Columns, Form, Rows, have_equal_bits
 from pgccd.ops import ContactRows
-from pgccd.search.sizes import Capacity
+from pgccd.runtime.sizes import BufferSizes, Capacity
 
 # Dtypes and further sizes of columns.
 _FORMS: dict[str, Form] = {
@@ -119,10 +119,26 @@ class Stats:
     needed: Capacity | None = None
     seconds: dict[str, float] = field(default_factory=dict)
 
+    @classmethod
+    def of_parts(cls, parts: Sequence[Stats], contacts: int, device: torch.device) -> Stats:
+        """The statistics of several searches of the same bodies, with so many contacts: sums, and the largest scratch
+        memory.
+        """
+        stats = cls(bodies=parts[0].bodies, broad_phase=parts[0].broad_phase, contacts=contacts)
+        for part in parts:
+            for name in ("pcs", "node_tests", "candidates", "unresolved", "chunks", "waits"):
+                setattr(stats, name, getattr(stats, name) + getattr(part, name))
+            for stage, spent in part.seconds.items():
+                stats.seconds[stage] = stats.seconds.get(stage, 0.0) + spent
+        stats.scratch_bytes = max(part.scratch_bytes for part in parts)
+        if device.type == "cpu":
+            stats.needed = BufferSizes(pairs=stats.pcs, contacts=contacts, candidates=stats.candidates)
+        return stats
+
 
 @dataclass(eq=False, kw_only=True, repr=False)
 class PairColumns(Columns):
-    """What all results have: body pairs. Equal (`==`) if all columns are, bit by bit."""
+    """What all results have: body pairs."""
 
     pairs: Tensor
     # None where `pairs` are not rows of one scene, as on many ranks.
@@ -149,16 +165,11 @@ class PairColumns(Columns):
         """(1,) bool: whether contacts may be missing; None: they are not."""
         return None
 
-    def __eq__(self, other: object) -> bool:
-        if type(other) is not type(self):
-            return NotImplemented
-        theirs = other.columns
-        return all(
-            column.device == theirs[name].device and torch.equal(column, theirs[name])
-            for name, column in self.columns.items()
-        )
-
-    __hash__ = None  # type: ignore[assignment]
+    def to(self, device: torch.device | str) -> Self:
+        moved = super().to(device)
+        if self._bodies is not None:
+            moved._bodies = self._bodies.map(lambda column: column.to(moved.pairs.device))
+        return moved
 
     def may_collide(self, by: By = "scene") -> Tensor:
         """Whether there is a contact, bool: () for the "scene", (W,) per "world" (W is one more than the largest world
@@ -280,14 +291,9 @@ class CountedRows(Rows, PairColumns):
 
     def __eq__(self, other: object) -> bool:
         equal = super().__eq__(other)
-        if equal is not True or not isinstance(other, CountedRows):
-            return equal
-        theirs = other.payload
-        return self.payload.keys() == theirs.keys() and all(
-            _have_equal_bits(column, theirs[name]) for name, column in self.payload.items()
-        )
+        return have_equal_bits(self.payload, other.payload) if isinstance(other, CountedRows) and equal else equal
 
-    __hash__ = None
+    __hash__ = None  # type: ignore[assignment]
 
     def state_dict(self) -> dict[str, Any]:
         """The columns, stats, `body_count` and `world` as a dictionary of tensors and numbers, without gradients and
@@ -302,17 +308,6 @@ class CountedRows(Rows, PairColumns):
 
     @classmethod
     def from_state_dict(cls, state: dict[str, Any]) -> Self:
-        """The result of a `state_dict`, on the device of its tensors.
-
-        Args:
-            state: from `state_dict`.
-
-        Raises:
-            TypeError, ValueError: naming the entry that is missing or invalid.
-
-        Example:
-            >>> again = pgccd.Contacts.from_state_dict(hits.state_dict())
-        """
         flags = _flags_of(cls)
         given = cls._columns_of(state, "stats", "body_count", "world", *flags)
         bodies = SceneBodies.of_state(state)
@@ -325,21 +320,21 @@ class CountedRows(Rows, PairColumns):
         payload = {name: change(column) for name, column in self.payload.items()}
         return replace(super()._map(change), payload=payload)
 
-    def to(self, device: torch.device | str) -> Self:
-        moved = super().to(device)
-        if self._bodies is not None:
-            moved._bodies = self._bodies.map(lambda column: column.to(moved.pairs.device))
-        return moved
+    def _followed_by(self, others: Sequence[Self]) -> Self:
+        every = [self, *others]
+        for k, each in enumerate(others, 1):
+            if each.body_count != self.body_count:
+                raise ValueError(f"results[{k}]: is of {each.body_count} bodies, the first one of {self.body_count}")
+            if each.payload.keys() != self.payload.keys():
+                raise ValueError(f"results[{k}]: has payload {list(each.payload)}, the first one {list(self.payload)}")
+        payload = {name: torch.cat([each.payload[name] for each in every]) for name in self.payload}
+        joined = replace(super()._followed_by(others), payload=payload)
+        joined._is_of_rank = any(each._is_of_rank for each in every)
+        joined.stats = Stats.of_parts([each.stats for each in every], len(joined), joined.pairs.device)
+        return joined
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}(count={len(self)}, pcs={self.stats.pcs}, device={self.pairs.device})"
-
-
-def _have_equal_bits(first: Tensor, second: Tensor) -> bool:
-    """Whether two columns of payload are equal. Not all of their dtypes can be compared by value."""
-    alike = all(getattr(first, name) == getattr(second, name) for name in ("shape", "dtype", "device"))
-    bits = (column.contiguous().flatten().view(torch.uint8) for column in (first, second))
-    return alike and torch.equal(*bits)
 
 
 @dataclass(eq=False, kw_only=True, repr=False)
@@ -440,6 +435,17 @@ class Contacts(ContactColumns, CountedRows):
     def _order(self) -> tuple[Tensor, ...]:
         """Columns by which contacts are early."""
         return (self.toi,)
+
+    def _followed_by(self, others: Sequence[Self]) -> Self:
+        every = [self, *others]
+        joined = super()._followed_by(others)
+        joined._is_earliest = any(each._is_earliest for each in every)
+        joined._has_each_world = all(each._has_each_world for each in every)
+        if any(each._differentiable is not None for each in every):
+            joined._differentiable = torch.cat([each.differentiable for each in every])
+        if any(each._found_with != self._found_with for each in others):
+            joined._found_with = None
+        return joined
 
     def _map(self, change: Callable[[Tensor], Tensor]) -> Self:
         changed = super()._map(change)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Self
 
 import torch
 from torch import Tensor
@@ -12,7 +12,7 @@ from torch import Tensor
 from pgccd.contacts.by_body import By, SceneBodies, any_contact
 from pgccd.contacts.contacts import CollidingPairs, ContactColumns, Contacts, PairColumns, Stats
 from pgccd.motion.validation import Validation
-from pgccd.search.sizes import COUNT_ROWS, BufferSizes, Capacity, CapacityError, Counts, overflow_flags, sizes_of
+from pgccd.runtime.sizes import COUNT_ROWS, BufferSizes, Capacity, CapacityError, Counts, overflow_flags, sizes_of
 
 
 @dataclass(eq=False, kw_only=True, repr=False)
@@ -53,6 +53,13 @@ class PaddedRows(PairColumns):
             return of_world
         return of_world.expand(len(reach)) if world is None else of_world[world.long()]
 
+    def _map(self, change: Callable[[Tensor], Tensor]) -> Self:
+        mapped = super()._map(change)
+        for name in ("count", "overflow", "counts", "_reach", "_found_toi"):
+            if (column := getattr(self, name, None)) is not None:
+                setattr(mapped, name, change(column))
+        return mapped
+
     def _trimmed(self) -> dict[str, Any]:
         """The columns without padding, and stats. Synchronises."""
         capacity = sizes_of(self.capacity)
@@ -84,7 +91,7 @@ class PaddedContacts(ContactColumns, PaddedRows):
         pairs, toi, kind, features, coordinates, point, normal, status: as of `Contacts`, with padding.
         count: (1,) int64: number of contacts found.
         overflow: (1,) bool: the result is incomplete; `trim` raises the error.
-        counts: (22 + F,) int64: `pgccd.search.sizes.Counts`, then the first invalid rows of poses and columns.
+        counts: (22 + F,) int64: `pgccd.runtime.sizes.Counts`, then the first invalid rows of poses and columns.
         capacity: of the result and of all intermediate lists.
         broad_phase: as in `Stats`.
     """

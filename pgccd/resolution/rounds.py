@@ -25,9 +25,9 @@ from pgccd.resolution.slowing import STOPPING_ROUND, SlowedBodies
 from pgccd.resolution.stoppers import Stoppers
 from pgccd.runtime.graph import conditional
 from pgccd.runtime.host_copy import HostCopy
+from pgccd.runtime.sizes import COUNT_ROWS, BufferSizes, Counts
 from pgccd.runtime.stages import StageClock
 from pgccd.search.passes import SearchPass, pairs_of_rounds, search_seconds
-from pgccd.search.sizes import COUNT_ROWS, BufferSizes, Counts
 
 # Rounds added at a time if those of the plan do not suffice.
 _MORE_ROUNDS = 2
@@ -84,7 +84,7 @@ class RoundSearch(Protocol):
             first: (N,) float64: first toi, relative to the part that each body moves; lowered in place.
 
         Returns:
-            (22,) int64 on the device: `pgccd.search.sizes.Counts`.
+            (22,) int64 on the device: `pgccd.runtime.sizes.Counts`.
         """
         ...
 

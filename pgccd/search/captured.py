@@ -14,10 +14,10 @@ from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.validation import Validation
 from pgccd.runtime.graph import Graph, capture
 from pgccd.runtime.host_copy import HostCopy
+from pgccd.runtime.sizes import BufferSizes, Capacity, CapacityError, sizes_of
 from pgccd.search import broad, narrow
 from pgccd.search.detect import CollideOptions, DetectOptions, collide, detect
 from pgccd.search.query import Query
-from pgccd.search.sizes import BufferSizes, Capacity, CapacityError, sizes_of
 
 # Initial capacity, relative to what the first motion needs.
 _SLACK = 1.5

@@ -20,13 +20,13 @@ from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
 from pgccd.runtime.attempts import TooSmall, until_it_fits
 from pgccd.runtime.graph import is_capturing
+from pgccd.runtime.sizes import EXACTLY, BufferSizes, Capacity, sizes_of
 from pgccd.search import broad, narrow
 from pgccd.search.bodies import MovingBodies
 from pgccd.search.checks import Initial, check_pairs, separation_value, warn_of_only_body, warn_of_rounded_positions
 from pgccd.search.memory import CapacityEstimate, estimate_of, memory_limit, pairs_a_chunk
 from pgccd.search.padded import PaddedSearch, search_padded, search_rigid
 from pgccd.search.query import Query
-from pgccd.search.sizes import EXACTLY, BufferSizes, Capacity, sizes_of
 from pgccd.search.streaming import stream
 from pgccd.search.trajectories import contacts_along, pairs_along
 

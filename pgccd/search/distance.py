@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -60,22 +60,6 @@ class Distances(Rows):
         "points": (torch.float64, (2, 3)),
         "converged": (torch.bool, ()),
     }
-
-    @classmethod
-    def from_state_dict(cls, state: Mapping[str, Any]) -> Distances:
-        """The distances of a `state_dict`, on the device of its tensors.
-
-        Args:
-            state: from `state_dict`.
-
-        Raises:
-            TypeError, ValueError: naming the entry that is missing or invalid.
-
-        Example:
-            >>> near = pgccd.distance(scene, motion, cutoff=0.1)
-            >>> again = pgccd.Distances.from_state_dict(near.state_dict())
-        """
-        return cls(**cls._columns_of(state))
 
     def __repr__(self) -> str:
         """The number of pairs, and the bounds of the least distance of all."""

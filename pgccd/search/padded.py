@@ -12,10 +12,10 @@ from pgccd.contacts.by_body import SceneBodies
 from pgccd.contacts.contacts import COLUMNS, CollidingPairs, ContactRows, Contacts, contacts_of, take_earliest
 from pgccd.contacts.padded import PaddedCollidingPairs, PaddedContacts, stats_of
 from pgccd.motion.validation import CHECK_NUMBERS
+from pgccd.runtime.sizes import COUNT_ROWS, COUNTS_OF_PAIRS, BufferSizes, Counts, overflow_flags
 from pgccd.search import broad, narrow
 from pgccd.search.bodies import MovingBodies
 from pgccd.search.query import Query
-from pgccd.search.sizes import COUNT_ROWS, COUNTS_OF_PAIRS, BufferSizes, Counts, overflow_flags
 
 
 @dataclass

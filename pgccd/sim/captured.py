@@ -18,10 +18,10 @@ from pgccd.distributed.partition.balance import RankLoads
 from pgccd.resolution.counts import GatheredCounts, Rows, SearchCounts
 from pgccd.resolution.round_plan import RoundPlan
 from pgccd.resolution.rounds import Attempt, Exchange
+from pgccd.runtime.sizes import Counts
 from pgccd.runtime.stages import StageClock
 from pgccd.runtime.transaction import TransactionGraph
 from pgccd.search.passes import SearchPass, first_contacts_of
-from pgccd.search.sizes import Counts
 from pgccd.sim.model import PLANNED, Model, RobotState
 from pgccd.sim.partners import Partners
 from pgccd.sim.reports import Reports

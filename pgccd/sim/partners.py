@@ -3,10 +3,10 @@
 import torch
 from torch import Tensor
 
+from pgccd.runtime.sizes import COUNT_ROWS, BufferSizes
 from pgccd.search.memory import memory_limit
 from pgccd.search.padded import lower_first_toi
 from pgccd.search.query import Query
-from pgccd.search.sizes import COUNT_ROWS, BufferSizes
 from pgccd.sim.model import Model
 
 #: Options of the search of the whole step and of every round. nonzero_toi: robots that separate after a contact may

@@ -15,7 +15,7 @@ from support.same_bits import bits
 from torch import Tensor
 
 import pgccd
-from pgccd.search.sizes import Capacity
+from pgccd.runtime.sizes import Capacity
 
 CUBE = box((0.5, 0.5, 0.5))
 FLOOR = box((10, 10, 0.5), (0, 0, -0.5))

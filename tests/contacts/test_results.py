@@ -15,7 +15,7 @@ from support.shapes import Bodies, approaching, tensors, tetrahedron
 
 import pgccd
 from pgccd import distributed
-from pgccd.search.sizes import Capacity
+from pgccd.runtime.sizes import Capacity
 
 
 def bodies() -> Bodies:

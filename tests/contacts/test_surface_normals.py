@@ -11,7 +11,7 @@ from support.resting import KINDS, Kind, box, joined, sheet, sliding
 from torch import Tensor
 
 import pgccd
-from pgccd.search.sizes import Capacity
+from pgccd.runtime.sizes import Capacity
 
 CUBE = box((0.5, 0.5, 0.5))
 FLOORS = {

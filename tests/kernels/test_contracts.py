@@ -13,9 +13,9 @@ from support.shapes import approaching
 import pgccd
 from pgccd import broad, narrow, sim
 from pgccd.motion.validation import CHECK_NUMBERS
+from pgccd.runtime.sizes import COUNTS_OF_PAIRS, Counts
 from pgccd.search.detect import detect_moving
 from pgccd.search.query import Query
-from pgccd.search.sizes import COUNTS_OF_PAIRS, Counts
 from pgccd.sim import model
 
 CSRC = Path(__file__).resolve().parents[2] / "csrc"

@@ -15,7 +15,7 @@ from torch import Tensor
 
 import pgccd
 from pgccd.resolution.search import ShortenedSearch
-from pgccd.search.sizes import COUNT_ROWS
+from pgccd.runtime.sizes import COUNT_ROWS
 
 resolve_module = sys.modules["pgccd.resolution.resolve"]
 

@@ -15,11 +15,11 @@ from support.same_bits import assert_same
 from support.shapes import approaching, bumpy
 
 import pgccd
+from pgccd.runtime.sizes import BufferSizes, Capacity, Counts
 from pgccd.search.detect import _detect_in_capacity as detect_at_once
 from pgccd.search.memory import CapacityEstimate
 from pgccd.search.padded import counts_of_given, lower_first_toi
 from pgccd.search.query import Query
-from pgccd.search.sizes import BufferSizes, Capacity, Counts
 
 REPORTS = ("any", "first", "all", "earliest")
 

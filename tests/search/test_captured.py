@@ -13,7 +13,7 @@ from support.same_bits import assert_same
 
 import pgccd
 from pgccd.runtime.graph import capture
-from pgccd.search.sizes import BufferSizes
+from pgccd.runtime.sizes import BufferSizes
 
 REPORTS = ["any", "first", "all", "earliest"]
 

@@ -15,8 +15,8 @@ from support.reports import captured_loop, detected, trimmed
 from support.shapes import bumpy, tensors, unit_quaternions
 
 import pgccd
+from pgccd.runtime.sizes import BufferSizes, Capacity
 from pgccd.search import captured as captured_module
-from pgccd.search.sizes import BufferSizes, Capacity
 
 REPORTS = ("any", "first", "all", "earliest")
 NAN = float("nan")

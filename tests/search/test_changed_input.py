@@ -12,7 +12,7 @@ from support.shapes import Bodies, approaching, tensors
 
 import pgccd
 from pgccd.motion import validation
-from pgccd.search.sizes import Capacity
+from pgccd.runtime.sizes import Capacity
 
 NAN, INF = float("nan"), float("inf")
 RIGID = {"position_t0": NAN, "position_t1": -INF, "orientation_t0": 0.1, "rotation": 1e7}

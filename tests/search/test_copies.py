@@ -16,7 +16,7 @@ from support.same_bits import COLUMNS, assert_same
 from support.shapes import approaching
 
 import pgccd
-from pgccd.search.sizes import BufferSizes
+from pgccd.runtime.sizes import BufferSizes
 
 COPIES = [copy.copy, copy.deepcopy, lambda value: pickle.loads(pickle.dumps(value))]
 

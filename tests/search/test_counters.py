@@ -11,7 +11,7 @@ from support.host_program import run_program
 from support.shapes import bumpy, tensors, unit_quaternions
 
 import pgccd
-from pgccd.search.sizes import BufferSizes
+from pgccd.runtime.sizes import BufferSizes
 
 # The device code that checks list lengths, compiled for the host.
 PROGRAM = """

@@ -17,8 +17,8 @@ from support.same_bits import columns_of, difference, first_rows
 from support.shapes import bumpy, tensors, unit_quaternions
 
 import pgccd
+from pgccd.runtime.sizes import sizes_of
 from pgccd.search import narrow
-from pgccd.search.sizes import sizes_of
 
 COLUMNS = ("pair", "kind", "features", "status", "toi", "coordinates", "point", "normal")
 

@@ -18,7 +18,7 @@ from support.reports import detected
 from support.shapes import bumpy, tensors, unit_quaternions
 
 import pgccd
-from pgccd.search.sizes import Capacity
+from pgccd.runtime.sizes import Capacity
 
 REPORTS = ("any", "first", "all", "earliest")
 GROUPINGS: tuple[Any, ...] = ("scene", "world", "body")

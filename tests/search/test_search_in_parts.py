@@ -20,7 +20,7 @@ from support.same_bits import assert_same, first_rows
 
 import pgccd
 from pgccd import narrow
-from pgccd.search.sizes import sizes_of
+from pgccd.runtime.sizes import sizes_of
 
 # From this capacity on, a GPU searches in two parts.
 MANY_PAIRS = 1 << 18

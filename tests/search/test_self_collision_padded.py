@@ -13,8 +13,8 @@ from support.same_bits import assert_same
 
 import pgccd
 from pgccd import narrow
+from pgccd.runtime.sizes import Capacity
 from pgccd.search.memory import CapacityEstimate
-from pgccd.search.sizes import Capacity
 
 
 def crumpled_capacity(device: torch.device) -> tuple[pgccd.Scene, list[Ends], pgccd.Capacity]:

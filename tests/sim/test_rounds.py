@@ -20,9 +20,9 @@ from torch.utils._python_dispatch import TorchDispatchMode
 import pgccd
 from pgccd.resolution.round_plan import RoundPlan
 from pgccd.resolution.rounds import OneRank, ResolvedStep, resolve_collisions
+from pgccd.runtime.sizes import COUNT_ROWS, BufferSizes, Capacity
 from pgccd.runtime.stages import StageClock
 from pgccd.search.passes import SearchPass
-from pgccd.search.sizes import COUNT_ROWS, BufferSizes, Capacity
 from pgccd.sim import Fractions, Model, ModelConfig, RobotState, robot_mesh
 from pgccd.sim import partners as partners_module
 from pgccd.sim.partners import FIRST_CONTACTS, Partners

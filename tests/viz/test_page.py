@@ -15,7 +15,7 @@ from support.steps import step_of
 
 import pgccd
 from pgccd import sim, viz
-from pgccd.search.sizes import sizes_of
+from pgccd.runtime.sizes import sizes_of
 from pgccd.viz import content
 from pgccd.viz.animation import RigidPaths, animation_of
 from pgccd.viz.raster import placed

@@ -29,9 +29,9 @@ from pgccd.distributed.world.world import World
 from pgccd.motion.paths import RigidMotion
 from pgccd.motion.validation import LARGEST_COORDINATE
 from pgccd.runtime.replayed_steps import GRAPH_SLACK
+from pgccd.runtime.sizes import COUNT_ROWS, busy_nanoseconds, overflow_flags
 from pgccd.runtime.transaction import TransactionGraph
 from pgccd.search.bodies import MovingBodies
-from pgccd.search.sizes import COUNT_ROWS, busy_nanoseconds, overflow_flags
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ suffices for arcs, which are shortened to a part of themselves; vertices on line
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Generic, cast
+from typing import ClassVar, Generic, cast
 
 import torch
 from torch import Tensor
@@ -53,6 +53,8 @@ class WorldResolution(Resolution[M], Generic[M]):
     """
 
     hits: Contacts
+
+    _parts: ClassVar[tuple[str, ...]] = ("motion", "hits")
 
 
 @dataclass
