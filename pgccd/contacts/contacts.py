@@ -325,6 +325,8 @@ class CountedRows(Rows, PairColumns):
         for k, each in enumerate(others, 1):
             if each.body_count != self.body_count:
                 raise ValueError(f"results[{k}]: is of {each.body_count} bodies, the first one of {self.body_count}")
+            if each.world is not self.world and not _are_equal(each.world, self.world):
+                raise ValueError(f"results[{k}]: is of bodies in other worlds than the first one")
             if each.payload.keys() != self.payload.keys():
                 raise ValueError(f"results[{k}]: has payload {list(each.payload)}, the first one {list(self.payload)}")
         payload = {name: torch.cat([each.payload[name] for each in every]) for name in self.payload}
@@ -335,6 +337,10 @@ class CountedRows(Rows, PairColumns):
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}(count={len(self)}, pcs={self.stats.pcs}, device={self.pairs.device})"
+
+
+def _are_equal(one: Tensor | None, other: Tensor | None) -> bool:
+    return one is not None and other is not None and torch.equal(one, other)
 
 
 @dataclass(eq=False, kw_only=True, repr=False)

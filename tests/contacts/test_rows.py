@@ -95,6 +95,12 @@ def test_only_contacts_of_the_same_bodies_are_concatenated(device: torch.device)
     few = pgccd.detect(scene[torch.arange(6)], motion[torch.arange(6)])
     with pytest.raises(ValueError, match=r"^results\[1\]: is of 6 bodies, the first one of 12"):
         pgccd.Contacts.cat([hits, few])
+    for world in (None, 1 - scene.world):
+        other = pgccd.Scene(scene.meshes, scene.mesh_index, world=world)
+        with pytest.raises(ValueError, match=r"^results\[1\]: is of bodies in other worlds than the first one"):
+            pgccd.Contacts.cat([hits, pgccd.detect(other, motion)])
+    same = pgccd.Scene(scene.meshes, scene.mesh_index, world=scene.world.clone())
+    assert len(pgccd.Contacts.cat([hits, pgccd.detect(same, motion)])) == 2 * len(hits)
     with pytest.raises(ValueError, match=r"^results\[1\]: has payload \['tag'\], the first one \[\]"):
         pgccd.Contacts.cat([hits, replace(hits, payload={"tag": hits.pairs})])
     with pytest.raises(TypeError, match=r"^results\[1\]: expected Contacts, got .*CollidingPairs"):
