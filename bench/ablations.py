@@ -14,7 +14,7 @@ import argparse
 import itertools
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, get_args
 
 import torch
 from support import results, timing
@@ -72,12 +72,13 @@ def broad_phases(world: MixedWorld) -> dict[str, Variant]:
 
 
 def reports(world: MixedWorld) -> dict[str, Variant]:
-    """The reports."""
+    """The reports, and the colliding pairs alone."""
 
     def asking(report: pgccd.Report) -> Variant:
         return lambda motion: pgccd.detect(world.scene, motion, report)
 
-    return {"first": asking("first"), "any": asking("any"), "all": asking("all"), "earliest": asking("earliest")}
+    found = {report: asking(report) for report in get_args(pgccd.Report)}
+    return found | {"collide": lambda motion: pgccd.collide(world.scene, motion)}
 
 
 def geometries(world: MixedWorld, device: str) -> dict[str, Variant]:

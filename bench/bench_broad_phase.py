@@ -77,12 +77,14 @@ def measure_rods(aspect: float, arguments: Any) -> dict[str, Any]:
     has_boxes, row = scene.meshes.has_boxes, {"aspect": aspect, "colliding": 0}
     for name in ("boxes", "spheres"):
         scene.meshes.has_boxes = has_boxes and name == "boxes"
-        detect = partial(pgccd.detect, scene, motion, arguments.report)
+        detect: partial[pgccd.Contacts | pgccd.CollidingPairs] = partial(pgccd.collide, scene, motion)
+        if arguments.report != "any":
+            detect = partial(pgccd.detect, scene, motion, arguments.report)
         find = partial(find_pairs, scene, motion)
         broad, step = (
             [timing.seconds(work, scene.device)[0] for _ in range(arguments.rounds)] for work in (find, detect)
         )
-        row["colliding"] = len(pgccd.detect(scene, motion, "any"))
+        row["colliding"] = len(pgccd.collide(scene, motion))
         row[f"{name}, pairs"] = len(find())
         row[f"{name}, broad phase, ms"] = timing.summary(broad)["median"]
         row[f"{name}, step, ms"] = timing.summary(step)["median"]

@@ -8,6 +8,8 @@ many intersect; and a crumpled cloth tested against itself, which intersects its
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,7 +21,11 @@ from support.scenes import MixedWorld
 import pgccd
 
 _ROBOTS = 10_000
-_REPORTS: tuple[pgccd.narrow.Report, ...] = ("any", "first", "all")
+_CALLS: dict[str, Callable[..., pgccd.Contacts | pgccd.CollidingPairs]] = {
+    "collide": pgccd.collide,
+    "first": partial(pgccd.detect, report="first"),
+    "all": partial(pgccd.detect, report="all"),
+}
 
 Step = tuple[pgccd.Scene, pgccd.RigidMotion | pgccd.VertexMotion]
 
@@ -34,8 +40,8 @@ def main() -> None:
     torch.set_num_threads(arguments.threads)
     rows = []
     for name, step in steps(arguments.device).items():
-        for report in _REPORTS:
-            rows.append({"scene": name, "report": report, **measure(*step, report, arguments.rounds)})
+        for report, call in _CALLS.items():
+            rows.append({"scene": name, "report": report, **measure(partial(call, *step), arguments.rounds)})
     results.table(rows)
     results.write("starts", arguments.device, {"rows": rows}, arguments.out)
 
@@ -79,13 +85,11 @@ def cloth(device: str, side: int = 60) -> Step:
     return scene, pgccd.VertexMotion(torch.from_numpy(start), torch.from_numpy(end)).to(device)
 
 
-def measure(
-    scene: pgccd.Scene, motion: pgccd.RigidMotion | pgccd.VertexMotion, report: pgccd.narrow.Report, rounds: int
-) -> dict[str, Any]:
+def measure(call: partial[pgccd.Contacts | pgccd.CollidingPairs], rounds: int) -> dict[str, Any]:
     """Medians, and the median of the ratios of successive calls."""
 
-    def spent(initial: Any) -> tuple[float, pgccd.Contacts]:
-        return timing.seconds(lambda: pgccd.detect(scene, motion, report, initial=initial), scene.device)
+    def spent(initial: Any) -> tuple[float, pgccd.Contacts | pgccd.CollidingPairs]:
+        return timing.seconds(lambda: call(initial=initial), call.args[0].device)
 
     for initial in ("report", "assume_free"):
         spent(initial)

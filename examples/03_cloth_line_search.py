@@ -158,7 +158,7 @@ for step in range(12):
 # %%
 # Nothing overlaps at the end, of course, and nothing did on the way:
 
-still = pgccd.detect(scene, pgccd.VertexMotion(x, x), "any")
+still = pgccd.collide(scene, pgccd.VertexMotion(x, x))
 print(f"pairs that touch: {still.pairs.tolist()}")
 
 figure = plt.figure(figsize=(7.0, 5.5))

@@ -80,7 +80,7 @@ for step in range(STEPS):
 # are those with toi 0.
 
 end = pgccd.RigidMotion.at_rest(position.view(-1, 3), orientation.view(-1, 4))
-touching = pgccd.detect(scene, end, "any")
+touching = pgccd.collide(scene, end)
 print(f"pairs in contact at the end: {len(touching)}")
 assert len(touching) == 0
 
@@ -101,6 +101,7 @@ places, turns = (torch.stack(column).view(STEPS + 1, FEW * rows, -1) for column 
 pgccd.show(few, pgccd.Trajectory(places, turns))
 
 # %%
-# Many policies need only who collides: ``report="any"`` is the cheapest, and `hits.may_collide("world")` its answer.
+# Many policies need only who collides: `pgccd.collide` is the cheapest, and `may_collide("world")` of its result the
+# answer.
 # Environments that are reset write new rows into `position`. Which mesh a body has may change too: `Scene.mesh_index`,
 # `Scene.world` and the other columns may be written between steps.

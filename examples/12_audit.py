@@ -56,7 +56,7 @@ def frames_alone() -> Iterator[tuple[torch.Tensor, torch.Tensor]]:
         yield x, q
         v = v + STEP * gravity
         x, q = x + STEP * v, pgccd.integrate_orientation(q, STEP * spin)
-        pairs = pgccd.detect(scene, pgccd.RigidMotion.at_rest(x, q), "any").pairs
+        pairs = pgccd.collide(scene, pgccd.RigidMotion.at_rest(x, q)).pairs
         v = turned_round(v, pairs, x[pairs[:, 1], 2] - x[pairs[:, 0], 2])
 
 

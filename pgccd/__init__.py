@@ -12,6 +12,7 @@ from pgccd.contacts.approach import approach_rates
 from pgccd.contacts.contacts import CollidingPairs, Contacts, Stats
 from pgccd.contacts.kinds import Kind, Status
 from pgccd.contacts.padded import PaddedCollidingPairs, PaddedContacts
+from pgccd.contacts.trajectories import TrajectoryContacts
 from pgccd.geometry.mesh import Mesh, MeshSet
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
@@ -20,16 +21,15 @@ from pgccd.motion.trajectory import Trajectory
 from pgccd.resolution.resolve import resolve
 from pgccd.resolution.results import PaddedResolution, Resolution
 from pgccd.resolution.trajectories import TrajectoryResolution
+from pgccd.runtime.sizes import Capacity, CapacityError
 from pgccd.search import broad, narrow, traverse
 from pgccd.search.approaching import approaching
 from pgccd.search.bodies import MovingBodies
-from pgccd.search.captured import CapturedDetection
-from pgccd.search.detect import detect
+from pgccd.search.captured import CapturedCollision, CapturedDetection
+from pgccd.search.detect import collide, detect
 from pgccd.search.distance import Distances, distance
 from pgccd.search.enclosed import enclosed
 from pgccd.search.narrow import Report
-from pgccd.search.sizes import Capacity, CapacityError
-from pgccd.search.trajectories import TrajectoryContacts
 
 if _TYPE_CHECKING:
     from pgccd import about, baselines, distributed, files, robots, sim, simulators, viz
@@ -44,6 +44,7 @@ __all__ = [
     "Audit",
     "Capacity",
     "CapacityError",
+    "CapturedCollision",
     "CapturedDetection",
     "CollidingPairs",
     "Contacts",
@@ -73,6 +74,7 @@ __all__ = [
     "audit",
     "baselines",
     "broad",
+    "collide",
     "detect",
     "distance",
     "distributed",

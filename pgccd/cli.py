@@ -22,6 +22,7 @@ from pgccd.files import bodies_and_poses, frame_columns, iterate_frames, load_co
 from pgccd.geometry.origin import Origin
 from pgccd.runtime.memory import is_out_of_memory
 from pgccd.search.broad import BROAD_PHASES
+from pgccd.search.detect import CollideOptions
 from pgccd.search.narrow import REPORTS
 from pgccd.sim import command
 from pgccd.sim.checkpoint import Header, require_checkpoint
@@ -157,7 +158,7 @@ def _build_parser() -> argparse.ArgumentParser:
     )
     add = detect.add_argument
     add("--page", type=Path, metavar="FILE", help="write an interactive HTML page of the contacts; or a .png or .glb")
-    add("--report", choices=list(REPORTS), default="first", help="which contacts to report (first)")
+    add("--report", choices=list(REPORTS), default="first", help="which contacts; any: colliding pairs alone (first)")
     add("--min-separation", type=float, default=0.0, metavar="LENGTH", help="distance that counts as touching (0)")
     add("--tolerance", type=float, metavar="LENGTH", help="of a reported contact (1e-6 of the smaller radius)")
     add("--device", default="cpu", help="cpu, cuda, ... (cpu)")
@@ -445,14 +446,12 @@ def _detect(options: argparse.Namespace) -> int:
     device = _device(options.device)
     scene, motion, source = _inputs(options, device, needs_motion=True)
     with _naming_options(source, device):
-        hits = pgccd.detect(
-            scene,
-            motion,
-            options.report,
-            options.min_separation,
-            tolerance=options.tolerance,
-            broad_phase=options.broad_phase,
-        )
+        given: CollideOptions = {"tolerance": options.tolerance, "broad_phase": options.broad_phase}
+        hits: pgccd.Contacts | pgccd.CollidingPairs
+        if options.report == "any":
+            hits = pgccd.collide(scene, motion, options.min_separation, **given)
+        else:
+            hits = pgccd.detect(scene, motion, options.report, options.min_separation, **given)
     rows = _contact_rows(hits)
     page = {} if options.page is None else {"page": str(_write_page(options, scene, motion, hits))}
     if options.json:

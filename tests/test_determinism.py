@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from support.reports import detected
 from support.same_bits import COLUMNS, assert_same
 from support.shapes import Bodies, approaching, tensors
 
@@ -50,15 +51,15 @@ def test_threads_chunks_and_repetition(device: torch.device, kind: str, report: 
     bodies = crowd()
     scene, motion = bodies.scene(device), motions(bodies, device)[kind]
     torch.set_num_threads(1)
-    reference = pgccd.detect(scene, motion, report)
+    reference = detected(scene, motion, report)
     assert len(reference) > (0 if report == "earliest" else 20)
     for threads in (1, 2, 3):
         torch.set_num_threads(threads)
         for _ in range(2):
-            assert_same(pgccd.detect(scene, motion, report), reference)
+            assert_same(detected(scene, motion, report), reference)
     chunks = set()
     for budget in (1, 40_000, 300_000, 10**8):
-        hits = pgccd.detect(scene, motion, report, memory_budget=budget)
+        hits = detected(scene, motion, report, memory_budget=budget)
         assert_same(hits, reference)
         chunks.add(hits.stats.chunks)
     assert max(chunks) == reference.stats.pcs and min(chunks) == 1
@@ -145,7 +146,7 @@ def test_cuda_gives_the_bits_of_the_cpu() -> None:
         kinds = motions(bodies, device)
         results.append(
             [
-                pgccd.detect(bodies.scene(device), motion, report, separation)
+                detected(bodies.scene(device), motion, report, separation)
                 for motion in kinds.values()
                 for report in REPORTS
                 for separation in (0.0, 0.05)

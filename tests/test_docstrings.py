@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from support.reports import detected
 from support.steps import step_of
 
 import pgccd
@@ -208,10 +209,10 @@ def test_attributes_are_in_the_help() -> None:
     voxels.detect(motion)
     objects: list[Any] = [names["mesh"], scene.meshes, scene, motion, still, names["bodies"], captured, voxels]
     objects += [pgccd.VertexMotion(x, x), pgccd.Trajectory(torch.stack([x, x])), names["hits"].stats, voxels.stats]
-    objects += [pgccd.detect(scene, motion, report) for report in ("first", "any")]
-    objects += [pgccd.detect(scene, motion, report, capacity=names["capacity"]) for report in ("first", "any")]
+    objects += [detected(scene, motion, report) for report in ("first", "any")]
+    objects += [detected(scene, motion, report, capacity=names["capacity"]) for report in ("first", "any")]
     objects += [pgccd.detect(scene, pgccd.Trajectory(torch.stack([x, x]), torch.stack([names["q"]] * 2)))]
-    objects += [pgccd.narrow.vertex_face(*[torch.rand(2, 4, 3)] * 2)]
+    objects += [pgccd.CapturedCollision(scene, motion), pgccd.narrow.vertex_face(*[torch.rand(2, 4, 3)] * 2)]
     audited = pgccd.audit(scene, [(x, names["q"]), (x + 2.0 * names["v"], names["q"])])
     objects += [audited, audited.passages, audited.touching]
     unknown = []

@@ -324,7 +324,7 @@ def test_odd_but_valid(device: torch.device) -> None:
     empty = pgccd.Scene([tetrahedron()], [], device)
     none = pgccd.RigidMotion(*(torch.zeros(0, n, device=device) for n in (3, 4, 3, 4)))
     assert len(pgccd.detect(empty, none)) == 0 and empty.body_count == 0
-    assert len(pgccd.detect(b.scene(device), b.motion(device=device), min_separation=1e6, report="any")) == 1
+    assert len(pgccd.collide(b.scene(device), b.motion(device=device), min_separation=1e6)) == 1
     flat = pgccd.Mesh([[0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 1, 0]], [[0, 1, 2], [0, 1, 3]])  # one face of zero area
     assert len(flat.edges) == 5
     unused = pgccd.Mesh(

@@ -16,7 +16,7 @@ from support.shapes import Bodies, approaching, tetrahedron
 
 import pgccd
 from pgccd import distributed, files, sim
-from pgccd.search.sizes import BufferSizes
+from pgccd.runtime.sizes import BufferSizes
 
 NAN = float("nan")
 NONSENSE: dict[str, Callable[[], Any]] = {
@@ -209,6 +209,18 @@ def calls(folder: Path) -> dict[str, Call]:
             | {"normals": "surface", "memory_budget": 1 << 20, "pairs": pairs, "capacity": None},
             {"capacity": ("normals",)},
         ),
+        "collide": Call(
+            pgccd.collide,
+            {"scene": scene, "motion": motion, "min_separation": 0.01, "tolerance": None, "broad_phase": "auto"}
+            | initial
+            | {"pairs": pairs, "memory_budget": 1 << 20, "capacity": pgccd.Capacity.of(9)},
+        ),
+        "collide, a trajectory": Call(
+            pgccd.collide,
+            {"scene": scene, "motion": rollout, "min_separation": 0.01, "tolerance": None, "broad_phase": "auto"}
+            | initial
+            | {"pairs": pairs, "memory_budget": 1 << 20, "capacity": None},
+        ),
         "distance": Call(
             pgccd.distance,
             {"scene": scene, "motion": motion, "cutoff": 0.1, "pairs": pairs, "tolerance": None},
@@ -230,6 +242,12 @@ def calls(folder: Path) -> dict[str, Call]:
         "CapturedDetection": Call(
             pgccd.CapturedDetection,
             {"scene": scene, "motion": motion, "report": "first", **options, "broad_phase": "auto"}
+            | initial
+            | {"capacity": None},
+        ),
+        "CapturedCollision": Call(
+            pgccd.CapturedCollision,
+            {"scene": scene, "motion": motion, "min_separation": 0.01, "tolerance": None, "broad_phase": "auto"}
             | initial
             | {"capacity": None},
         ),
@@ -285,6 +303,7 @@ def calls(folder: Path) -> dict[str, Call]:
             {"motion": motion, "payload": ("v", "position"), "resolve": True, "movable": [True, False]},
             {"resolve": ("movable",)},
         ),
+        "distributed.World.collide": Call(world.collide, {"motion": motion, "payload": ("v", "position")}),
         "distributed.World.rows_of": Call(world.rows_of, {"ids": pairs}),
         "distributed.World.sum_per_body": Call(
             world.sum_per_body, {"hits": hits, "values": torch.ones(len(hits), 2)}, {"hits": ("values",)}

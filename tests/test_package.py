@@ -52,7 +52,8 @@ path = pgccd.Trajectory(torch.stack([x, x + v]), torch.stack([q, q]))
 wanting = pgccd.RigidMotion(x.double().requires_grad_(), q.double(), (x + v).double(), q.double())
 world = lambda: distributed.World.create([pgccd.Mesh.box([1.0, 1.0, 1.0])], (0,) * 3, (6,) * 3, x.double() + 1.0)
 calls = {{
-    **{{report: lambda r=report: pgccd.detect(scene, motion, r) for report in ("any", "first", "all", "earliest")}},
+    **{{report: lambda r=report: pgccd.detect(scene, motion, r) for report in ("first", "all", "earliest")}},
+    "collide": lambda: pgccd.collide(scene, motion),
     "trajectory": lambda: pgccd.detect(scene, path),
     "capacity": lambda: pgccd.detect(scene, motion, capacity=pgccd.Capacity.of(9)).trim(),
     "approaching": lambda: pgccd.approaching(scene, motion, pgccd.detect(scene, motion, normals="surface")),

@@ -10,6 +10,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 import torch
+from support.reports import detected
 
 import pgccd
 
@@ -68,7 +69,7 @@ def detect(
     columns = [start, [STILL] * count, end, rotation or [[0.0] * 3] * count]
     tensors = [torch.tensor(column, dtype=torch.float64, device=device) for column in columns]
     motion = pgccd.RigidMotion.from_rotation(*tensors)
-    return pgccd.detect(pgccd.Scene(meshes, device=device), motion, report, separation)
+    return detected(pgccd.Scene(meshes, device=device), motion, report, separation)
 
 
 def require_toi(hits: pgccd.Contacts, expected: Fraction, speed: float) -> None:

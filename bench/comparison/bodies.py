@@ -36,7 +36,7 @@ class BodiesProgram(Protocol):
 def measure(robots: int, device: str, rounds: int, seed: int = 0) -> list[dict[str, Any]]:
     """Rows of all installed programs. pgccd's result is exact and serves as the reference."""
     world = MixedWorld(robots, 40, device, seed)
-    programs: list[BodiesProgram] = [Detection(world, report, device) for report in ("first", "any")]
+    programs: list[BodiesProgram] = [Detection(world, True, device), Detection(world, False, device)]
     programs += bodies_peers.available(world, device)
     spent: dict[str, list[float]] = {each.program.name: [] for each in programs}
     counts: dict[str, np.ndarray] = {}
@@ -76,17 +76,19 @@ def keys(pairs: np.ndarray, bodies: int) -> np.ndarray:
 class Detection:
     """pgccd on the device of the world."""
 
-    def __init__(self, world: MixedWorld, report: pgccd.narrow.Report, device: str) -> None:
-        self._world, self._report = world, report
-        answers = {"first": "certified toi and features of each pair", "any": "which pairs"}[report]
+    def __init__(self, world: MixedWorld, with_contacts: bool, device: str) -> None:
+        self._world, self._call = world, pgccd.detect if with_contacts else pgccd.collide
+        answers = "certified toi and features of each pair" if with_contacts else "which pairs"
         where = "GPU" if device == "cuda" else f"CPU, {torch.get_num_threads()} threads"
-        self.program = Program(f'pgccd, report="{report}"', "pgccd", f"{answers}; meshes on arcs", device=where)
+        self.program = Program(f"pgccd.{self._call.__name__}", "pgccd", f"{answers}; meshes on arcs", device=where)
 
     def load(self, state: sim.RobotState) -> None:
         self._motion = self._world.model.motion(state)
 
     def find(self) -> None:
-        self._hits = pgccd.detect(self._world.scene, self._motion, self._report, initial="assume_free")
+        self._hits: pgccd.Contacts | pgccd.CollidingPairs = self._call(
+            self._world.scene, self._motion, initial="assume_free"
+        )
 
     def pairs(self) -> np.ndarray:
         return self._hits.pairs.cpu().numpy()

@@ -71,7 +71,7 @@ def collect(free: int, colliding: int, seed: int, robots: int = 4000) -> Pairs:
     random = torch.Generator().manual_seed(seed)
     for state in itertools.islice(world, 10_000):
         motion = world.model.motion(state)
-        hits = pgccd.detect(world.scene, motion, report="any")
+        hits = pgccd.collide(world.scene, motion)
         met = pgccd.broad.sweep(pgccd.MovingBodies.of(world.scene, motion))
         keys = (met[:, 0] * robots + met[:, 1]).numpy()
         hit = torch.from_numpy(np.isin(keys, (hits.pairs[:, 0] * robots + hits.pairs[:, 1]).numpy()))

@@ -14,19 +14,20 @@ from pgccd import arguments
 from pgccd.auditing.results import Audit, Passages, Touching
 from pgccd.auditing.runs import Runs
 from pgccd.auditing.windows import Frame, windows
-from pgccd.contacts.contacts import CollidingPairs, Contacts
+from pgccd.contacts.by_body import SceneBodies
+from pgccd.contacts.contacts import Contacts
 from pgccd.contacts.sites import Sites
+from pgccd.contacts.trajectories import time_along
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import PATHS, PathKind, RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
 from pgccd.motion.vectors import dot
 from pgccd.search import broad
 from pgccd.search.checks import warn_of_only_body
-from pgccd.search.detect import DetectOptions, detect
+from pgccd.search.detect import CollideOptions, collide, detect
 from pgccd.search.enclosed import enclosed_pairs
 from pgccd.search.query import Query
-from pgccd.search.streaming import join_contacts
-from pgccd.search.trajectories import detect_segments, repeated, time_along
+from pgccd.search.trajectories import detect_segments, repeated
 
 #: Whether bodies at rest, of several copies of a scene, do something in pairs (P, 2): (P,) bool.
 _Test: TypeAlias = Callable[[Scene, RigidMotion | VertexMotion, Tensor], Tensor]
@@ -96,8 +97,9 @@ def audit(
         arguments.refuse_gradient(scene.margin, "margin")
     if isinstance(trajectory, Trajectory):
         trajectory._refuse_gradient()
-    options: DetectOptions = {"tolerance": tolerance, "broad_phase": broad_phase}
-    auditor = _Auditor(scene, partial(detect, min_separation=min_separation, **options), keep)
+    options: CollideOptions = {"tolerance": tolerance, "broad_phase": broad_phase}
+    find, touch = (partial(call, min_separation=min_separation, **options) for call in (detect, collide))
+    auditor = _Auditor(scene, find, touch, keep)
     for part in windows(scene, trajectory, path):
         if auditor.segments == 0 and scene.body_count == 1:
             warn_of_only_body(scene, part)
@@ -112,9 +114,9 @@ class _Rows:
     parts: list[Contacts] = field(default_factory=list)
     columns: list[tuple[Tensor, Tensor]] = field(default_factory=list)  # their segments and approach
 
-    def conclude(self, scene: Scene, segments: int) -> Passages:
+    def conclude(self, segments: int) -> Passages:
         """All of them, of a rollout of so many segments."""
-        joined = join_contacts(self.parts, [each.pairs for each in self.parts])
+        joined = Contacts.cat(self.parts)
         segment, approach = (torch.cat(column) for column in zip(*self.columns, strict=True))
         columns: dict[str, Any] = joined.columns
         toi = columns["toi"]
@@ -125,14 +127,15 @@ class _Rows:
             time=time_along(segment, toi, segments),
             approach=approach,
             measure=(1.0 - toi) * approach,
-            scene=scene,
+            _bodies=joined._bodies,
         )
 
 
 @dataclass
 class _Auditor:
     scene: Scene
-    detect: Any  # pgccd.detect with its options
+    detect: Any  # pgccd.detect and pgccd.collide with their options
+    collide: Any
     keep: int
     segments: int = 0  # so far
     passages: _Rows = field(default_factory=_Rows)
@@ -143,9 +146,10 @@ class _Auditor:
 
     def take(self, part: Trajectory) -> None:
         """Finds the passages of the next segments."""
-        found, segment, pairs = detect_segments(self.scene, part, "first", self.detect)
+        found, segment, pairs = detect_segments(self.scene, part, self.detect)
         assert isinstance(found, Contacts)
-        found.pairs, found.stats.bodies = pairs, self.scene.body_count
+        found.pairs, found._bodies = pairs, SceneBodies.of(self.scene)
+        found.stats.bodies = self.scene.body_count
         # A contact at toi 0 is one of the frame, unless paths have margins; of the others both frames are tested.
         starts, ends = (found.toi == 0.0) & (part.margin is None), torch.zeros_like(segment, dtype=torch.bool)
         later = torch.nonzero(~starts).flatten()
@@ -199,8 +203,7 @@ class _Auditor:
         return test(repeated(self.scene, len(frames)), still, asked)[row]
 
     def _touch(self, copies: Scene, still: RigidMotion | VertexMotion, pairs: Tensor) -> Tensor:
-        found = self.detect(copies, still, "any", pairs=pairs)
-        assert isinstance(found, CollidingPairs)
+        found = self.collide(copies, still, pairs=pairs)
         keys, touching = (each[:, 0] * copies.body_count + each[:, 1] for each in (pairs, found.pairs))
         return torch.isin(keys, touching)
 
@@ -225,9 +228,9 @@ class _Auditor:
             pairs = pairs[self._at_frames(part, end, pairs, self._touch)]
             self.touching.add(pairs, torch.full_like(pairs[:, 0], self.segments), self.segments)
         return Audit(
-            self.passages.conclude(self.scene, self.segments),
+            self.passages.conclude(self.segments),
             Touching(*self.touching.conclude(self.scene.device)),
-            self.enclosed.conclude(self.scene, self.segments),
+            self.enclosed.conclude(self.segments),
             self.segments + 1,
             sorted((segment, motion) for _, segment, motion in self.kept),
         )

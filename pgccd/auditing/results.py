@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar
 
+import torch
 from torch import Tensor
 
 from pgccd.contacts.contacts import COLUMNS, Contacts
+from pgccd.contacts.rows import Form, Rows
+from pgccd.contacts.trajectories import TrajectoryContacts
 from pgccd.motion.paths import RigidMotion, VertexMotion
-from pgccd.search.trajectories import TrajectoryContacts
 
 
 @dataclass(eq=False, kw_only=True, repr=False)
@@ -21,7 +24,7 @@ class Passages(TrajectoryContacts):
         approach: (K,) float64 >= 0, length units per segment: the rate at which the gap closes along the normal at toi.
         measure: (K,) float64 length: (1 - toi) approach, how deep the bodies would be in each other at the next frame
             if they kept this rate.
-        pairs, toi, time, kind, features, coordinates, point, normal, status, stats, payload, scene: as of
+        pairs, toi, time, kind, features, coordinates, point, normal, status, stats, payload: as of
             `TrajectoryContacts`.
 
     Example:
@@ -35,8 +38,8 @@ class Passages(TrajectoryContacts):
     _names: ClassVar[tuple[str, ...]] = (*TrajectoryContacts._names, "approach", "measure")
 
 
-@dataclass(frozen=True, eq=False)
-class Touching:
+@dataclass(frozen=True, eq=False, repr=False)
+class Touching(Rows):
     """Pairs that touch at frames: R runs of consecutive frames, sorted by pair and frame.
 
     Attributes:
@@ -53,8 +56,12 @@ class Touching:
     first: Tensor
     last: Tensor
 
-    def __len__(self) -> int:
-        return len(self.first)
+    _names: ClassVar[tuple[str, ...]] = ("pairs", "first", "last")
+    _forms: ClassVar[Mapping[str, Form]] = {
+        "pairs": (torch.int64, (2,)),
+        "first": (torch.int64, ()),
+        "last": (torch.int64, ()),
+    }
 
     def __repr__(self) -> str:
         return f"Touching(count={len(self)})"
@@ -95,7 +102,7 @@ class Audit:
         for segment, _ in self._kept:
             rows = self.passages[self.passages.segment == segment]
             columns = {name: getattr(rows, name) for name in COLUMNS}
-            contacts.append(Contacts(**columns, stats=rows.stats, scene=rows.scene))
+            contacts.append(Contacts(**columns, stats=rows.stats, _bodies=rows._bodies))
         return [motion for _, motion in self._kept], contacts
 
     def __repr__(self) -> str:

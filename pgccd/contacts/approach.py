@@ -21,6 +21,7 @@ from pgccd.contacts.gradients import corner_points
 from pgccd.contacts.kinds import FACE, Kind, Status
 from pgccd.contacts.normals import surface_normals
 from pgccd.contacts.sites import Sites, reduced
+from pgccd.contacts.trajectories import TrajectoryContacts
 from pgccd.geometry.incidence import Lists
 from pgccd.geometry.scene import Scene
 from pgccd.motion.differentiable import with_gradient_of
@@ -29,7 +30,7 @@ from pgccd.motion.trajectory import Trajectory
 from pgccd.motion.vectors import cross, dot, norm, unit_or_zero
 from pgccd.search.bodies import MovingBodies
 from pgccd.search.checks import RELATIVE_TOLERANCE
-from pgccd.search.trajectories import TrajectoryContacts, segments_as_step
+from pgccd.search.trajectories import segments_as_step
 
 # Windows of the rest of the step for bodies that turn.
 _WINDOWS = 16

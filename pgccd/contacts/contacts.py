@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, NoReturn, Self
 
@@ -10,14 +10,10 @@ import torch
 from torch import Tensor
 
 from pgccd import arguments
-from pgccd.contacts.by_body import By, any_contact, first_time, owners
-from pgccd.contacts.rows import Columns, Form, Rows
+from pgccd.contacts.by_body import By, SceneBodies, any_contact, first_time, owners
+from pgccd.contacts.rows import Columns, Form, Rows, have_equal_bits
 from pgccd.ops import ContactRows
-from pgccd.search.sizes import Capacity
-
-if TYPE_CHECKING:
-    from pgccd.geometry.scene import Scene
-
+from pgccd.runtime.sizes import BufferSizes, Capacity
 
 # Dtypes and further sizes of columns.
 _FORMS: dict[str, Form] = {
@@ -35,15 +31,14 @@ _FORMS: dict[str, Form] = {
     "approach": (torch.float64, ()),
     "measure": (torch.float64, ()),
 }
-# What else contacts have, and pairs do not.
-_OF_CONTACTS = ("first_toi", "starts_intersecting", "earliest", "approach", "approaching", "segment", "time")
 # What contacts had in 0.1.0.
-_FUNCTIONS = {
-    "approach": "pgccd.approach_rates(scene, motion, hits)",
-    "approaching": "pgccd.approaching(scene, motion, hits)",
+_GONE = {
+    "approach": "call pgccd.approach_rates(scene, motion, hits)",
+    "approaching": "call pgccd.approaching(scene, motion, hits)",
+    "scene": "results keep `body_count` and `world` alone",
 }
 #: Names of the columns of contacts, in the operators' order.
-COLUMNS = ("pairs", "kind", "features", "status", "toi", "coordinates", "point", "normal")
+COLUMNS: tuple[str, ...] = ("pairs", "kind", "features", "status", "toi", "coordinates", "point", "normal")
 
 
 def earliest_row(toi: Tensor, *ties: Tensor) -> Tensor:
@@ -124,33 +119,57 @@ class Stats:
     needed: Capacity | None = None
     seconds: dict[str, float] = field(default_factory=dict)
 
+    @classmethod
+    def of_parts(cls, parts: Sequence[Stats], contacts: int, device: torch.device) -> Stats:
+        """The statistics of several searches of the same bodies, with so many contacts: sums, and the largest scratch
+        memory.
+        """
+        stats = cls(bodies=parts[0].bodies, broad_phase=parts[0].broad_phase, contacts=contacts)
+        for part in parts:
+            for name in ("pcs", "node_tests", "candidates", "unresolved", "chunks", "waits"):
+                setattr(stats, name, getattr(stats, name) + getattr(part, name))
+            for stage, spent in part.seconds.items():
+                stats.seconds[stage] = stats.seconds.get(stage, 0.0) + spent
+        stats.scratch_bytes = max(part.scratch_bytes for part in parts)
+        if device.type == "cpu":
+            stats.needed = BufferSizes(pairs=stats.pcs, contacts=contacts, candidates=stats.candidates)
+        return stats
+
 
 @dataclass(eq=False, kw_only=True, repr=False)
 class PairColumns(Columns):
-    """What all results have: body pairs. Equal (`==`) if all columns are, bit by bit."""
+    """What all results have: body pairs."""
 
     pairs: Tensor
-    scene: Scene | None = field(default=None, repr=False, compare=False)
+    # None where `pairs` are not rows of one scene, as on many ranks.
+    _bodies: SceneBodies | None = field(default=None, repr=False, compare=False)
     # Whether the contacts are those of the bodies of one of several ranks.
     _is_of_rank: bool = field(default=False, repr=False, compare=False)
 
     _names: ClassVar[tuple[str, ...]] = ("pairs",)
 
     @property
+    def body_count(self) -> int | None:
+        """Number of bodies of the scene; None where `pairs` are not rows of one scene, as on many ranks."""
+        return None if self._bodies is None else self._bodies.count
+
+    @property
+    def world(self) -> Tensor | None:
+        """(N,) int32: the world of each body, the column of the scene itself; None without worlds, or where `pairs` are
+        not rows of one scene.
+        """
+        return None if self._bodies is None else self._bodies.world
+
+    @property
     def _incomplete(self) -> Tensor | None:
         """(1,) bool: whether contacts may be missing; None: they are not."""
         return None
 
-    def __eq__(self, other: object) -> bool:
-        if type(other) is not type(self):
-            return NotImplemented
-        theirs = other.columns
-        return all(
-            column.device == theirs[name].device and torch.equal(column, theirs[name])
-            for name, column in self.columns.items()
-        )
-
-    __hash__ = None  # type: ignore[assignment]
+    def to(self, device: torch.device | str) -> Self:
+        moved = super().to(device)
+        if self._bodies is not None:
+            moved._bodies = self._bodies.map(lambda column: column.to(moved.pairs.device))
+        return moved
 
     def may_collide(self, by: By = "scene") -> Tensor:
         """Whether there is a contact, bool: () for the "scene", (W,) per "world" (W is one more than the largest world
@@ -170,7 +189,7 @@ class PairColumns(Columns):
 
     def _any_contact(self, by: By) -> Tensor:
         """As `may_collide`, of a complete result."""
-        return any_contact(self.pairs, self.scene, by)
+        return any_contact(self.pairs, self._bodies, by)
 
     def _require_all_ranks(self) -> None:
         """Raises ValueError if other ranks may have other contacts."""
@@ -179,27 +198,6 @@ class PairColumns(Columns):
                 "hits: has the contacts of this rank's bodies alone: see World.first_toi, and Comm.min or Comm.any for "
                 "all ranks"
             )
-
-
-class WithoutTimes:
-    """Refuses, by name, what results of report="any" do not have. Type checkers do not know these names either."""
-
-    if not TYPE_CHECKING:
-
-        def __getattr__(self, name: str) -> NoReturn:
-            if name in (
-                *COLUMNS,
-                "first_toi",
-                "starts_intersecting",
-                "earliest",
-                "approach",
-                "approaching",
-                "segment",
-                "time",
-            ):
-                advice = 'ask for "first", "all" or "earliest", or see `may_collide`'
-                raise AttributeError(f'report: "any" gives pairs without contacts, and no `{name}`: {advice}')
-            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
 
 
 @dataclass(eq=False, kw_only=True, repr=False)
@@ -240,16 +238,16 @@ class ContactColumns(PairColumns):
 
     def _first_time(self, time: Tensor, by: By, incomplete: Tensor | None = None) -> Tensor:
         """The least `time` (K,) of contacts; 0 if `incomplete` (1,) bool."""
-        found = first_time(self.pairs, time, self.scene, by, incomplete)
+        found = first_time(self.pairs, time, self._bodies, by, incomplete)
         if (bound := self._bound_by(by)) is None:
             return found
-        return torch.minimum(found, self._of_all(bound, first_time(self.pairs, time, self.scene, bound, incomplete)))
+        return torch.minimum(found, self._of_all(bound, first_time(self.pairs, time, self._bodies, bound, incomplete)))
 
     def _any_contact(self, by: By) -> Tensor:
-        found = any_contact(self.pairs, self.scene, by)
+        found = any_contact(self.pairs, self._bodies, by)
         if (bound := self._bound_by(by)) is None:
             return found
-        return found | self._of_all(bound, any_contact(self.pairs, self.scene, bound))
+        return found | self._of_all(bound, any_contact(self.pairs, self._bodies, bound))
 
     def _bound_by(self, by: By) -> By | None:
         """What has the contact that bounds those left out, of what results are asked for; None: none are left out."""
@@ -259,9 +257,9 @@ class ContactColumns(PairColumns):
 
     def _of_all(self, by: By, values: Tensor) -> Tensor:
         """Values of the scene (), or of worlds (W,) for each body (N,)."""
-        if by == "scene" or self.scene is None:
+        if by == "scene":
             return values
-        return values[0] if self.scene.world is None else values[self.scene.world.long()]
+        return values[0] if self.world is None else values[self.world.long()]
 
     @property
     def starts_intersecting(self) -> Tensor:
@@ -293,74 +291,69 @@ class CountedRows(Rows, PairColumns):
 
     def __eq__(self, other: object) -> bool:
         equal = super().__eq__(other)
-        if equal is not True or not isinstance(other, CountedRows):
-            return equal
-        theirs = other.payload
-        return self.payload.keys() == theirs.keys() and all(
-            _have_equal_bits(column, theirs[name]) for name, column in self.payload.items()
-        )
+        return have_equal_bits(self.payload, other.payload) if isinstance(other, CountedRows) and equal else equal
 
-    __hash__ = None
+    __hash__ = None  # type: ignore[assignment]
 
     def state_dict(self) -> dict[str, Any]:
-        """The columns and stats as a dictionary of tensors and numbers, without gradients, the scene and
+        """The columns, stats, `body_count` and `world` as a dictionary of tensors and numbers, without gradients and
         `Stats.needed`, for `torch.save` and `torch.load` with weights_only=True.
 
         Example:
             >>> torch.save(hits.state_dict(), "hits.pt")
         """
         stats = {name: value for name, value in asdict(replace(self.stats, needed=None)).items() if name != "needed"}
-        return super().state_dict() | {"stats": stats} | {name: getattr(self, name) for name in _flags_of(type(self))}
+        flags = {name: getattr(self, name) for name in _flags_of(type(self))}
+        return super().state_dict() | {"stats": stats, "body_count": self.body_count, "world": self.world} | flags
 
     @classmethod
-    def from_state_dict(cls, state: dict[str, Any], scene: Scene | None = None) -> Self:
-        """The result of a `state_dict`, on the device of its tensors.
-
-        Args:
-            state: from `state_dict`.
-            scene: of the bodies, which `first_toi` and others need.
-
-        Raises:
-            TypeError, ValueError: naming the entry that is missing or invalid.
-
-        Example:
-            >>> again = pgccd.Contacts.from_state_dict(hits.state_dict(), scene)
-        """
+    def from_state_dict(cls, state: dict[str, Any]) -> Self:
         flags = _flags_of(cls)
-        given = cls._columns_of(state, "stats", *flags)
-        _check_rows(state, scene)
+        given = cls._columns_of(state, "stats", "body_count", "world", *flags)
+        bodies = SceneBodies.of_state(state)
+        _check_rows(state, bodies)
         _check_stats(state["stats"])
         given |= {name: arguments.flag(state[name], name) for name in flags}
-        return cls(**given, stats=Stats(**state["stats"]), scene=scene)
+        return cls(**given, stats=Stats(**state["stats"]), _bodies=bodies)
 
     def _map(self, change: Callable[[Tensor], Tensor]) -> Self:
         payload = {name: change(column) for name, column in self.payload.items()}
         return replace(super()._map(change), payload=payload)
 
+    def _followed_by(self, others: Sequence[Self]) -> Self:
+        every = [self, *others]
+        for k, each in enumerate(others, 1):
+            if each.body_count != self.body_count:
+                raise ValueError(f"results[{k}]: is of {each.body_count} bodies, the first one of {self.body_count}")
+            if each.world is not self.world and not _are_equal(each.world, self.world):
+                raise ValueError(f"results[{k}]: is of bodies in other worlds than the first one")
+            if each.payload.keys() != self.payload.keys():
+                raise ValueError(f"results[{k}]: has payload {list(each.payload)}, the first one {list(self.payload)}")
+        payload = {name: torch.cat([each.payload[name] for each in every]) for name in self.payload}
+        joined = replace(super()._followed_by(others), payload=payload)
+        joined._is_of_rank = any(each._is_of_rank for each in every)
+        joined.stats = Stats.of_parts([each.stats for each in every], len(joined), joined.pairs.device)
+        return joined
+
     def __repr__(self) -> str:
         return f"{type(self).__name__}(count={len(self)}, pcs={self.stats.pcs}, device={self.pairs.device})"
 
 
-def _have_equal_bits(first: Tensor, second: Tensor) -> bool:
-    """Whether two columns of payload are equal. Not all of their dtypes can be compared by value."""
-    alike = all(getattr(first, name) == getattr(second, name) for name in ("shape", "dtype", "device"))
-    bits = (column.contiguous().flatten().view(torch.uint8) for column in (first, second))
-    return alike and torch.equal(*bits)
+def _are_equal(one: Tensor | None, other: Tensor | None) -> bool:
+    return one is not None and other is not None and torch.equal(one, other)
 
 
 @dataclass(eq=False, kw_only=True, repr=False)
-class CollidingPairs(WithoutTimes, CountedRows):
-    """The pairs of bodies that collide, from `detect(report="any")`; sorted. Equal (`==`) if they are the same. There
-    is no toi, and so no `first_toi`.
+class CollidingPairs(CountedRows):
+    """The pairs of bodies that collide, from `pgccd.collide`; sorted. Equal (`==`) if they are the same.
 
     Attributes:
         pairs: (K, 2) int64 body indices, i < j; (i, i) where a body touches itself.
         stats: of the call.
-        payload: columns of both bodies, (K, 2, ...) by name: see `distributed.World.step`; else empty.
-        scene: the scene of the bodies; None where `pairs` are not rows of one scene, as on many ranks.
+        payload: columns of both bodies, (K, 2, ...) by name: see `distributed.World.collide`; else empty.
 
     Example:
-        >>> colliding = pgccd.detect(scene, motion, "any")
+        >>> colliding = pgccd.collide(scene, motion)
         >>> colliding.pairs, colliding.may_collide("body")
         (tensor([[0, 1]]), tensor([True, True]))
     """
@@ -387,7 +380,6 @@ class Contacts(ContactColumns, CountedRows):
         status: (K,) int8, see `Status`: TOUCH or UNRESOLVED.
         stats: of the call.
         payload: columns of both bodies, (K, 2, ...) by name: see `distributed.World.step`; else empty.
-        scene: the scene of the bodies; None where `pairs` are not rows of one scene, as on many ranks.
 
     If an input of `detect` requires grad, then so do toi, coordinates, point and normal: see docs/how-to/gradients.md.
 
@@ -405,8 +397,8 @@ class Contacts(ContactColumns, CountedRows):
     if not TYPE_CHECKING:  # which would accept every name
 
         def __getattr__(self, name: str) -> NoReturn:
-            if name in _FUNCTIONS:
-                raise AttributeError(f"{type(self).__name__} has no {name!r} any more: call {_FUNCTIONS[name]}")
+            if name in _GONE:
+                raise AttributeError(f"{type(self).__name__} has no {name!r} any more: {_GONE[name]}")
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
 
     @property
@@ -439,7 +431,7 @@ class Contacts(ContactColumns, CountedRows):
         if by == "scene":
             row = earliest_row(*order)
         else:
-            owner, count = owners(self.pairs, self.scene, by)
+            owner, count = owners(self.pairs, self._bodies, by)
             row = earliest_of_each(owner[::2], count, *order)
         found = self[row]
         stats = replace(found.stats, contacts=len(found))
@@ -449,6 +441,17 @@ class Contacts(ContactColumns, CountedRows):
     def _order(self) -> tuple[Tensor, ...]:
         """Columns by which contacts are early."""
         return (self.toi,)
+
+    def _followed_by(self, others: Sequence[Self]) -> Self:
+        every = [self, *others]
+        joined = super()._followed_by(others)
+        joined._is_earliest = any(each._is_earliest for each in every)
+        joined._has_each_world = all(each._has_each_world for each in every)
+        if any(each._differentiable is not None for each in every):
+            joined._differentiable = torch.cat([each.differentiable for each in every])
+        if any(each._found_with != self._found_with for each in others):
+            joined._found_with = None
+        return joined
 
     def _map(self, change: Callable[[Tensor], Tensor]) -> Self:
         changed = super()._map(change)
@@ -473,9 +476,9 @@ def _check_stats(stats: Any) -> None:
             arguments.integer(value, named, 0, "a number >= 0")
 
 
-def _check_rows(state: dict[str, Any], scene: Scene | None) -> None:
+def _check_rows(state: dict[str, Any], bodies: SceneBodies | None) -> None:
     """Raises ValueError unless the rows of a `state_dict` name bodies, and times in [0, 1]."""
-    most = 2**63 - 1 if scene is None else scene.body_count - 1
+    most = 2**63 - 1 if bodies is None else bodies.count - 1
     limits = {"pairs": (0, most), "toi": (0.0, 1.0), "segment": (0, 2**63 - 1), "time": (0.0, 1.0)}
     for name, (low, high) in limits.items():
         if name not in state:
@@ -493,9 +496,9 @@ def _flags_of(result: type[PairColumns]) -> list[str]:
     return [each.name for each in fields(result) if each.name in ("_is_of_rank", "_is_earliest", "_has_each_world")]
 
 
-def contacts_of(rows: ContactRows, report: str, stats: Stats, scene: Scene | None = None) -> Contacts | CollidingPairs:
-    """The result of a search, from rows with body pairs in the first column; of report="any" these are all."""
+def contacts_of(rows: ContactRows, report: str, stats: Stats) -> Contacts | CollidingPairs:
+    """The result of a search, from rows with body pairs in the first column; of report "any" these are all."""
     if report == "any":
-        return CollidingPairs(pairs=rows[0], stats=stats, scene=scene)
+        return CollidingPairs(pairs=rows[0], stats=stats)
     columns: dict[str, Any] = dict(zip(COLUMNS, rows, strict=True))
-    return Contacts(**columns, stats=stats, scene=scene, _is_earliest=report == "earliest")
+    return Contacts(**columns, stats=stats, _is_earliest=report == "earliest")

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Self
 
 import torch
 from torch import Tensor
 
-from pgccd.contacts.by_body import By, any_contact
-from pgccd.contacts.contacts import CollidingPairs, ContactColumns, Contacts, PairColumns, Stats, WithoutTimes
+from pgccd.contacts.by_body import By, SceneBodies, any_contact
+from pgccd.contacts.contacts import CollidingPairs, ContactColumns, Contacts, PairColumns, Stats
 from pgccd.motion.validation import Validation
-from pgccd.search.sizes import COUNT_ROWS, BufferSizes, Capacity, CapacityError, Counts, overflow_flags, sizes_of
+from pgccd.runtime.sizes import COUNT_ROWS, BufferSizes, Capacity, CapacityError, Counts, overflow_flags, sizes_of
 
 
 @dataclass(eq=False, kw_only=True, repr=False)
@@ -24,7 +24,7 @@ class PaddedRows(PairColumns):
     counts: Tensor
     capacity: Capacity
     broad_phase: str
-    bodies: int
+    _bodies: SceneBodies
     _validation: Validation
     # `PaddedSearch.reach`.
     _reach: Tensor | None = field(default=None, repr=False, compare=False)
@@ -46,13 +46,19 @@ class PaddedRows(PairColumns):
 
     def _in_invalid_worlds(self, reach: Tensor, by: By) -> Tensor:
         """Which worlds (W,) have an invalid body, or which bodies (N,) are in these."""
-        assert self.scene is not None
         rows = torch.arange(len(reach), device=reach.device)
         invalid = torch.where(reach < 0.0, rows, -1)[:, None].expand(-1, 2)
-        of_world, world = any_contact(invalid, self.scene, "world"), self.scene.world
+        of_world, world = any_contact(invalid, self._bodies, "world"), self.world
         if by == "world":
             return of_world
         return of_world.expand(len(reach)) if world is None else of_world[world.long()]
+
+    def _map(self, change: Callable[[Tensor], Tensor]) -> Self:
+        mapped = super()._map(change)
+        for name in ("count", "overflow", "counts", "_reach", "_found_toi"):
+            if (column := getattr(self, name, None)) is not None:
+                setattr(mapped, name, change(column))
+        return mapped
 
     def _trimmed(self) -> dict[str, Any]:
         """The columns without padding, and stats. Synchronises."""
@@ -61,8 +67,8 @@ class PaddedRows(PairColumns):
         count = min(counts.contacts, len(self.pairs))  # "earliest" has one row
         columns = {name: column[:count] for name, column in self.columns.items()}
         waits = int(self.counts.is_cuda)
-        stats = stats_of(counts, capacity, self.bodies, count, self.broad_phase, waits)
-        return columns | {"stats": stats, "scene": self.scene}
+        stats = stats_of(counts, capacity, self._bodies.count, count, self.broad_phase, waits)
+        return columns | {"stats": stats, "_bodies": self._bodies}
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}(capacity={len(self.pairs)}, device={self.pairs.device})"
@@ -85,11 +91,9 @@ class PaddedContacts(ContactColumns, PaddedRows):
         pairs, toi, kind, features, coordinates, point, normal, status: as of `Contacts`, with padding.
         count: (1,) int64: number of contacts found.
         overflow: (1,) bool: the result is incomplete; `trim` raises the error.
-        counts: (22 + F,) int64: `pgccd.search.sizes.Counts`, then the first invalid rows of poses and columns.
+        counts: (22 + F,) int64: `pgccd.runtime.sizes.Counts`, then the first invalid rows of poses and columns.
         capacity: of the result and of all intermediate lists.
         broad_phase: as in `Stats`.
-        bodies: number of bodies.
-        scene: the scene of the bodies.
     """
 
     # The toi that were found, where those of an incomplete result are 0.
@@ -116,13 +120,13 @@ class PaddedContacts(ContactColumns, PaddedRows):
 
 
 @dataclass(eq=False, kw_only=True, repr=False)
-class PaddedCollidingPairs(WithoutTimes, PaddedRows):
-    """Colliding pairs in a fixed number of rows, from `detect(report="any", capacity=...)`: the host has not
-    synchronised yet. Padding is -1. While the result is incomplete, `may_collide` is True, as of `PaddedContacts`.
+class PaddedCollidingPairs(PaddedRows):
+    """Colliding pairs in a fixed number of rows, from `collide(capacity=...)`: the host has not synchronised yet.
+    Padding is -1. While the result is incomplete, `may_collide` is True, as of `PaddedContacts`.
 
     Attributes:
         pairs: (K, 2) int64, as of `CollidingPairs`, with padding.
-        count, overflow, counts, capacity, broad_phase, bodies, scene: as of `PaddedContacts`.
+        count, overflow, counts, capacity, broad_phase: as of `PaddedContacts`.
     """
 
     def trim(self) -> CollidingPairs:
@@ -133,7 +137,7 @@ class PaddedCollidingPairs(WithoutTimes, PaddedRows):
             ValueError: the input is invalid.
 
         Example:
-            >>> colliding = pgccd.detect(scene, motion, "any", capacity=capacity).trim()
+            >>> colliding = pgccd.collide(scene, motion, capacity=capacity).trim()
         """
         return CollidingPairs(**self._trimmed())
 

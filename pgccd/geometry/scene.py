@@ -31,7 +31,7 @@ OPTIONAL_COLUMNS = (*FILTERS, "margin")
 
 
 @dataclass
-class _Derived:
+class Derived:
     """A value derived from a column, with what is needed to see that the column has changed: on a CPU a copy of it,
     since memory shared with NumPy may be written without torch; on a GPU, which must not be waited for, torch's counter
     of writes.
@@ -64,7 +64,7 @@ class _Derived:
         return self.column is column and self.seen == _version(column) is not None
 
 
-class _Fixed(_Derived):
+class _Fixed(Derived):
     """Of a column that is never written to: writes to tensors made in inference mode, which torch does not count, are
     not seen.
     """
@@ -272,8 +272,8 @@ class Scene:
 
     # The radius given to `_of_checked`, and cached values derived from `mesh_index` and `world`.
     _given_radius: Tensor | None = None
-    _layout: _Derived | None = None
-    _world_count: _Derived | None = None
+    _layout: Derived | None = None
+    _world_count: Derived | None = None
     # `self_collision`, which `_self_colliding` follows, and `exclude`, as given by a user.
     _fixed: Mapping[str, _Fixed] = {}
     # The number of bodies after which `exclude` repeats, in a scene of several copies. Default: that of all bodies.
@@ -309,7 +309,7 @@ class Scene:
     def layout(self) -> VertexLayout:
         """First rows of each body's vertices and node blocks, for bodies that deform."""
         if self._layout is None or not self._layout.is_of(self.mesh_index):
-            self._layout = _Derived(self.mesh_index, self._find_layout())
+            self._layout = Derived(self.mesh_index, self._find_layout())
         return self._layout.value
 
     def _find_layout(self) -> VertexLayout:
@@ -332,7 +332,7 @@ class Scene:
             return 1
         if self._world_count is None or not self._world_count.is_of(self.world):
             require_worlds(self.world)
-            self._world_count = _Derived(self.world, 1 + int(self.world.max()) if self.body_count else 0)
+            self._world_count = Derived(self.world, 1 + int(self.world.max()) if self.body_count else 0)
         return self._world_count.value
 
     def _detached(self) -> Scene:
@@ -436,6 +436,7 @@ class Scene:
         if self._is_of_user:
             require_meshes(moved.mesh_index, len(meshes))
             moved._remember()
+            _ = moved.world_count  # computed now, as by the constructor
         return moved
 
     def __repr__(self) -> str:

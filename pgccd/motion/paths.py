@@ -151,7 +151,7 @@ class RigidMotion(MovingColumns):
             TypeError, ValueError: naming the argument, and the body with an invalid value.
 
         Example:
-            >>> touching = pgccd.detect(scene, pgccd.RigidMotion.at_rest(x, q), "any").pairs
+            >>> touching = pgccd.collide(scene, pgccd.RigidMotion.at_rest(x, q)).pairs
         """
         start = _rows(position, "position", None, 3, None)
         orientation = _rows(orientation, "orientation", start.shape[0], 4, start.device)

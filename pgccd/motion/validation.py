@@ -3,9 +3,11 @@ name the column and the row, and give the value.
 """
 
 import math
+import weakref
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -19,6 +21,7 @@ UNIT_TOLERANCE = 1e-3
 LARGEST_COORDINATE = arguments.LONGEST
 # Error bounds of sine and cosine are proven up to this angle.
 LARGEST_TURN = 1e6
+_NO_VALUES = torch.empty(0)
 # The operator's numbers (enum RowCheck of csrc/kernels/bounds/validation.h).
 CHECK_NUMBERS = {"magnitude": 0, "unit_length": 1, "length": 2, "range": 3}
 
@@ -91,6 +94,9 @@ class Checked:
     source: str | None = None
     origin: "Checked | None" = None
 
+    def __len__(self) -> int:
+        return len(self.values)
+
     def problem(self, index: int, number: int | None = None, later: bool = False) -> str:
         """What is wrong with a row, whose number in the error is `number`, by default its index; without its values if
         they may be others by now (`later`).
@@ -101,6 +107,41 @@ class Checked:
         found = "" if later else self.check.found(self.values[index])
         where = f"{self.row} {index if number is None else number}"
         return f"{self.name}: {where}: expected {self.check.expected}{found}{follows}"
+
+
+@dataclass
+class _WeaklyChecked(Checked):
+    """A column that may be gone when an error is to name a row of it; `values` has none."""
+
+    rows: int = 0
+    column: weakref.ref[Tensor] | None = None
+
+    @classmethod
+    def of(cls, checked: Checked) -> "_WeaklyChecked":
+        # In a compiled graph there are no values to state.
+        column = None if torch.compiler.is_compiling() else weakref.ref(checked.values)
+        origin = None if checked.origin is None else cls.of(checked.origin)
+        given = checked.name, _NO_VALUES, checked.check, checked.row, checked.source, origin
+        return cls(*given, len(checked.values), column)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"column": None}
+
+    def __len__(self) -> int:
+        return self.rows
+
+    def problem(self, index: int, number: int | None = None, later: bool = False) -> str:
+        values = None if self.column is None else self.column()
+        origin = None
+        if isinstance(self.origin, _WeaklyChecked) and self.origin.column is not None:
+            given = self.origin.column()
+            origin = None if given is None else replace(_plain(self.origin), values=given)
+        whole = replace(_plain(self), values=self.values if values is None else values, origin=origin)
+        return whole.problem(index, number, later or values is None)
+
+
+def _plain(weak: _WeaklyChecked) -> Checked:
+    return Checked(weak.name, weak.values, weak.check, weak.row, weak.source)
 
 
 def check_of(name: str) -> Check:
@@ -166,6 +207,10 @@ class Validation:
     columns: list[Checked]
     radius: Tensor | None = None
 
+    def weakly(self) -> "Validation":
+        """The same, for results: it does not keep the columns alive, and states their values only while others do."""
+        return replace(self, columns=[_WeaklyChecked.of(column) for column in self.columns])
+
     def raise_from(self, first: Sequence[int], later: bool = False) -> None:
         """Raises ValueError for the first invalid row, if there is one.
 
@@ -174,7 +219,7 @@ class Validation:
             later: whether columns may hold other values by now; the message then states none.
         """
         for column, index in zip(self.columns, first, strict=False):
-            if index < len(column.values):
+            if index < len(column):
                 raise ValueError(column.problem(index, later=later))
         if self.radius is not None and (body := first[len(self.columns)]) < len(self.radius):
             radius = "an SBV radius" if later else f"SBV radius {float(self.radius[body]):g}"

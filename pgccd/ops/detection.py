@@ -183,7 +183,7 @@ def pairs_padded(
     at_any_times: bool = False,
     boxes: Tensor | None = None,
 ) -> tuple[Tensor, Tensor]:
-    """The pairs of `broad_pairs` padded with -1, and counts (7,): see `pgccd.search.sizes`. Does not
+    """The pairs of `broad_pairs` padded with -1, and counts (7,): see `pgccd.runtime.sizes`. Does not
     synchronise.
     """
     return int64(position_t0, capacity[0], 2), int64(position_t0, 7)

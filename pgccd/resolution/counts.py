@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from pgccd.search.sizes import COUNT_ROWS, busy_nanoseconds, overflow_flags
+from pgccd.runtime.sizes import COUNT_ROWS, busy_nanoseconds, overflow_flags
 
 #: (ranks, k) int64: one row per rank.
 Rows = NDArray[np.int64]
@@ -20,7 +20,7 @@ class SearchCounts:
     """The counts of a rank's searches in a step, on the device.
 
     Args:
-        of_passes: (22,) int64 of each pass of the whole step: `pgccd.search.sizes.Counts`.
+        of_passes: (22,) int64 of each pass of the whole step: `pgccd.runtime.sizes.Counts`.
         of_rounds: (rounds, 22): the same of each round of collision resolution; None if there was none.
     """
 

@@ -12,12 +12,12 @@ from pgccd import ops
 from pgccd.geometry.mesh import MeshSet
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.resolution.rounds import Found, RoundSearch, found_by, ids_of
+from pgccd.runtime.sizes import COUNT_ROWS, EXACTLY, BufferSizes
 from pgccd.search.memory import memory_limit
 from pgccd.search.narrow import REPORTS
 from pgccd.search.padded import lower_first_toi
 from pgccd.search.passes import SearchPass
 from pgccd.search.query import Query
-from pgccd.search.sizes import COUNT_ROWS, EXACTLY, BufferSizes
 
 # A longer list, relative to the PCS, costs more than the broad phases of rounds.
 _LONGEST = 4

@@ -23,6 +23,7 @@ from pgccd.resolution.search import ShortenedSearch, at_rest, shortened
 from pgccd.resolution.stoppers import Stoppers
 from pgccd.resolution.trajectories import TrajectoryResolution, resolve_segments
 from pgccd.runtime.host_copy import HostCopy
+from pgccd.runtime.sizes import COUNT_ROWS, BufferSizes, Capacity, overflow_flags, sizes_of
 from pgccd.runtime.stages import StageClock
 from pgccd.search import broad
 from pgccd.search.bodies import MovingBodies
@@ -32,7 +33,6 @@ from pgccd.search.memory import CapacityEstimate
 from pgccd.search.padded import search_padded
 from pgccd.search.passes import SearchPass, find_pass, pairs_of_rounds
 from pgccd.search.query import Query
-from pgccd.search.sizes import COUNT_ROWS, BufferSizes, Capacity, overflow_flags, sizes_of
 from pgccd.search.trajectories import check_trajectory
 
 # All of them are enqueued; from the fifth on each one stops a body for good.
@@ -259,7 +259,7 @@ class _Step:
             _first_invalid_rows=invalid_rows,
             _changes=changes[-1:],
             _capacity=capacity,
-            _validation=bodies._validation,
+            _validation=bodies._validation.weakly(),
         )
 
     def _search(self, motion: RigidMotion | VertexMotion, plan: _Plan) -> RoundSearch:

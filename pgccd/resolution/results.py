@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
-from typing import Any, Generic, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 import torch
 from torch import Tensor
 
+from pgccd.contacts.rows import Columns
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.validation import Validation
-from pgccd.search.sizes import BufferSizes, CapacityError, Counts
+from pgccd.runtime.sizes import BufferSizes, CapacityError, Counts
 
 M = TypeVar("M", bound=RigidMotion | VertexMotion)
 
 
 @dataclass(frozen=True, eq=False)
-class Resolution(Generic[M]):
+class Resolution(Columns, Generic[M]):
     """How far each of N bodies moves such that none meets another: the result of `pgccd.resolve`.
 
     Attributes:
@@ -40,6 +41,13 @@ class Resolution(Generic[M]):
     touching_at_start: Tensor
     unresolved: Tensor
     rounds: int
+
+    _names: ClassVar[tuple[str, ...]] = ("fraction", "stopped_by", "touching_at_start", "unresolved")
+    _parts: ClassVar[tuple[str, ...]] = ("motion",)
+
+    # Motions are not compared.
+    __eq__ = object.__eq__
+    __hash__ = object.__hash__  # type: ignore[assignment]
 
     def __repr__(self) -> str:
         return (

@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Sequence
 
-from pgccd.search.sizes import BufferSizes, Counts
+from pgccd.runtime.sizes import BufferSizes, Counts
 
 # Rounds enqueued in the first step before its result is read.
 _FIRST_ROUNDS = 4

@@ -25,9 +25,9 @@ from pgccd.resolution.slowing import STOPPING_ROUND, SlowedBodies
 from pgccd.resolution.stoppers import Stoppers
 from pgccd.runtime.graph import conditional
 from pgccd.runtime.host_copy import HostCopy
+from pgccd.runtime.sizes import COUNT_ROWS, BufferSizes, Counts
 from pgccd.runtime.stages import StageClock
 from pgccd.search.passes import SearchPass, search_seconds
-from pgccd.search.sizes import COUNT_ROWS, BufferSizes, Counts
 
 # Rounds added at a time if those of the plan do not suffice.
 _MORE_ROUNDS = 2
@@ -123,7 +123,7 @@ class RoundSearch(Protocol):
                 contacts are not listed.
 
         Returns:
-            The contacts; and (22,) int64 on the device: `pgccd.search.sizes.Counts`.
+            The contacts; and (22,) int64 on the device: `pgccd.runtime.sizes.Counts`.
         """
         ...
 

@@ -11,12 +11,12 @@ from torch import Tensor
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.resolution.rounds import Found, found_by
+from pgccd.runtime.sizes import COUNT_ROWS, BufferSizes
 from pgccd.search import broad
 from pgccd.search.bodies import MovingBodies
 from pgccd.search.memory import memory_limit
 from pgccd.search.passes import SearchPass
 from pgccd.search.query import Query
-from pgccd.search.sizes import COUNT_ROWS, BufferSizes
 
 
 @dataclass(eq=False)

@@ -5,11 +5,12 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
 
+from pgccd.contacts.rows import Columns
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.rotation import rotated
@@ -19,7 +20,7 @@ from pgccd.resolution.search import body_of_vertex
 
 
 @dataclass(frozen=True, eq=False)
-class TrajectoryResolution:
+class TrajectoryResolution(Columns):
     """How far each of N bodies follows its trajectory of S segments such that none meets another.
 
     Each segment is resolved like a step, given where the bodies are then: one that is stopped stays there, and its
@@ -47,6 +48,13 @@ class TrajectoryResolution:
     touching_at_start: Tensor
     unresolved: Tensor
     rounds: int
+
+    _names: ClassVar[tuple[str, ...]] = ("fraction", "stopped_by", "touching_at_start", "unresolved")
+    _parts: ClassVar[tuple[str, ...]] = ("motion", "segments")
+
+    # Motions are not compared.
+    __eq__ = object.__eq__
+    __hash__ = object.__hash__  # type: ignore[assignment]
 
     def __repr__(self) -> str:
         segments, bodies = self.fraction.shape

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -83,7 +83,7 @@ class Certificate(Rows):
     }
 
     @classmethod
-    def from_state_dict(cls, state: Mapping[str, Any], robot: Robot) -> Certificate:
+    def from_state_dict(cls, state: dict[str, Any], robot: Robot) -> Certificate:  # type: ignore[override]
         """The certificates of a `state_dict`, on the device of its tensors.
 
         Args:
@@ -98,6 +98,13 @@ class Certificate(Rows):
             >>> again = pgccd.robots.Certificate.from_state_dict(result.state_dict(), robot)
         """
         return cls(**cls._columns_of(state), link_names=robot.link_names, untested=robot.untested)
+
+    def _followed_by(self, others: Sequence[Certificate]) -> Certificate:
+        for k, each in enumerate(others, 1):
+            if each.link_names != self.link_names or each.untested != self.untested:
+                raise ValueError(f"results[{k}]: is of another robot than the first one")
+        counts = {name: sum(getattr(each, name) for each in (self, *others)) for name in ("steps", "searches")}
+        return replace(super()._followed_by(others), **counts)
 
     @classmethod
     def _without_contact(cls, environments: int, robot: Robot, device: torch.device) -> Certificate:

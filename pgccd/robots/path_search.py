@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from pgccd import arguments
+from pgccd.contacts.trajectories import time_along
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion
 from pgccd.motion.vectors import square_root
@@ -18,7 +19,7 @@ from pgccd.robots.obstacles import Obstacles
 from pgccd.robots.robot import LARGEST_VALUE, Robot
 from pgccd.robots.stray import LONGEST_TURN, MOST_TURN, turns
 from pgccd.search.detect import detect
-from pgccd.search.trajectories import repeated, time_along
+from pgccd.search.trajectories import repeated
 
 # Bodies in one call.
 _BODIES_AT_ONCE = 400_000

@@ -23,7 +23,7 @@ from pgccd.robots.kinematics import Joint, Poses, Tree
 from pgccd.robots.obstacles import Obstacles
 from pgccd.robots.shapes import PLANE, ThickSurface, joined
 from pgccd.robots.stray import LONGEST_TURN, MOST_TURN, Chains, pose_error, stray_bound, turns
-from pgccd.search.detect import detect
+from pgccd.search.detect import collide
 from pgccd.search.trajectories import repeated
 
 if TYPE_CHECKING:
@@ -241,7 +241,7 @@ class Robot:
             many = repeated(self.scene(), len(some))
             x, r = self.poses(some)
             at_rest = RigidMotion.at_rest(x.flatten(0, 1), r.flatten(0, 1))
-            pairs = detect(many, at_rest, "any").pairs
+            pairs = collide(many, at_rest).pairs
             # Each pair of links once a configuration, although they may be several bodies.
             sample = pairs[:, 0] // self.body_count
             of_links = owner[pairs % self.body_count].sort(dim=1).values
@@ -465,7 +465,7 @@ def robot_of_file(path: Path, neutral: Sequence[float], *parts: Any) -> Robot:
     if robot.body_count < 2:
         return robot
     x, r = robot.poses(torch.tensor(neutral, dtype=torch.float64).reshape(-1))
-    touching = robot.body_link[detect(robot.scene(), RigidMotion.at_rest(x, r), "any").pairs]
+    touching = robot.body_link[collide(robot.scene(), RigidMotion.at_rest(x, r)).pairs]
     if len(touching):
         links = torch.unique(touching.sort(dim=1).values, dim=0).tolist()
         pairs = [(robot.link_names[a], robot.link_names[b]) for a, b in links]

@@ -1,1 +1,3 @@
-"""Utilities around torch and CUDA: events, copies to the host, stage times, graphs."""
+"""Utilities around torch and CUDA: capacities of buffers, events, copies to the host, stage times,
+graphs.
+"""

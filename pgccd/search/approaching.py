@@ -6,7 +6,6 @@ from dataclasses import replace
 from typing import Any, TypeVar
 
 import torch
-from torch import Tensor
 
 from pgccd import arguments
 from pgccd.contacts.approach import recede
@@ -71,12 +70,7 @@ def approaching(
 
 def _joined(one: C, other: C) -> C:
     """Contacts with one row for each pair, and others of other pairs, in the order of pairs."""
-    pairs = torch.cat([one.pairs, other.pairs])
+    both = type(one).cat([one, other])
+    pairs = both.pairs
     order = torch.argsort(pairs[:, 0] * (pairs.amax() + 1 if len(pairs) else 1) + pairs[:, 1])
-    columns: dict[str, Any] = {
-        name: torch.cat([column, getattr(other, name)])[order] for name, column in one.columns.items()
-    }
-    differentiable: Tensor | None = None
-    if one._differentiable is not None:
-        differentiable = torch.cat([one.differentiable, other.differentiable])[order]
-    return replace(one, **columns, _differentiable=differentiable)
+    return replace(both[order], stats=one.stats, _found_with=one._found_with)

@@ -7,9 +7,9 @@ import torch
 from torch import Tensor
 
 from pgccd import arguments, ops
+from pgccd.runtime.sizes import COUNT_ROWS, BufferSizes
 from pgccd.search.bodies import MovingBodies
 from pgccd.search.checks import check_separation, operator_tolerance, require_bodies
-from pgccd.search.sizes import COUNT_ROWS, BufferSizes
 
 __all__ = ["BroadPhase", "choose", "find_pairs", "grid", "lbvh", "sweep"]
 
@@ -163,7 +163,7 @@ def find_pairs_padded(
 
     Returns:
         (capacity.pairs, 2) int64, the pairs first, then rows of -1; and counts (7,) int64: the first seven of
-        `pgccd.search.sizes.Counts`. After overflow, pairs may be missing.
+        `pgccd.runtime.sizes.Counts`. After overflow, pairs may be missing.
     """
     number = BROAD_PHASE_NUMBERS[choose(bodies, broad_phase)]
     own = 0 if bodies.scene.self_collision is None else len(bodies._self_colliding)

@@ -1,7 +1,8 @@
 """Detection as one CUDA graph, for loops that must not be limited by kernel launches from the host."""
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
-from typing import Generic, Literal, TypeVar, Unpack, cast, overload
+from typing import Any, ClassVar, Generic, TypeVar, Unpack
 
 import torch
 
@@ -13,10 +14,10 @@ from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.validation import Validation
 from pgccd.runtime.graph import Graph, capture
 from pgccd.runtime.host_copy import HostCopy
+from pgccd.runtime.sizes import BufferSizes, Capacity, CapacityError, sizes_of
 from pgccd.search import broad, narrow
-from pgccd.search.detect import DetectOptions, detect
+from pgccd.search.detect import CollideOptions, DetectOptions, collide, detect
 from pgccd.search.query import Query
-from pgccd.search.sizes import BufferSizes, Capacity, CapacityError, sizes_of
 
 # Initial capacity, relative to what the first motion needs.
 _SLACK = 1.5
@@ -35,114 +36,36 @@ class _Record:
         checked_counts(self.counts.numpy().tolist(), self.capacity, self.validation, later=True)
 
 
+R = TypeVar("R", bound=Contacts | CollidingPairs)
 P = TypeVar("P", bound=PaddedContacts | PaddedCollidingPairs)
 
 
-class CapturedDetection(Generic[P]):
-    """`pgccd.detect` for the steps of a loop: poses are loaded into fixed memory, one CUDA graph is replayed, and
-    contacts are read from fixed memory. The result is bitwise equal to that of `detect`.
-
-    The graph is captured by the first call, which takes longer and synchronises. On a CPU there is none: each call runs
-    `detect` with the same capacity (`is_graph` is False).
-
-    Each call of `__call__` or `replay` first reads the counts of the call before the last, which a GPU has usually
-    finished. If that exceeded a capacity, the graph is captured again with a larger one; if a pose was invalid, a
-    ValueError names body and column. So this happens at the same call in every run, on every device. Until then an
-    incomplete result reads as contact at the start of the step, see `PaddedContacts`: a loop that moves bodies by
-    `first_toi` stands still for such a step, and goes on once the capacity suffices.
-
-    Type checkers know it as `CapturedDetection[PaddedContacts]`, or of report="any" as
-    `CapturedDetection[PaddedCollidingPairs]`; of a report in a variable, as that of both types.
+class _Captured(Generic[R, P]):
+    """The loop of `CapturedDetection` and `CapturedCollision`.
 
     Args:
-        scene: the bodies. Its columns are read at each call and may be written. If columns of the scene or of `motion`
-            are replaced, or `mesh_index` is written, the graph is captured again. The `mesh_index` of bodies that
-            deform is fixed.
-        motion: a step of the same kind as later ones, with the same number of bodies or vertices.
-        report, min_separation: as for `detect`.
-        capacity: of the result and of all intermediate lists. Default: 1.5 times what the first replayed motion needs.
-        options: tolerance, nonzero_toi, initial, broad_phase: as for `detect`.
-
-    Attributes:
-        scene: the bodies.
-        motion: the motion read by each replay, in fixed memory: written by `load`, or by kernels of the caller.
-        capacity: of the result and of all intermediate lists; None before the first replay, unless it was given.
-
-    Raises:
-        TypeError, ValueError: naming the argument.
-
-    Example:
-        >>> captured = pgccd.CapturedDetection(scene, motion)
-        >>> hits = captured(pgccd.RigidMotion(x0, q0, x1, q1))  # PaddedContacts
-        >>> safe = hits.first_toi().clamp(max=1.0)
-        >>> contacts = captured.contacts()  # trimmed copy; synchronises
+        scene, motion, capacity: as for these.
+        options: all other arguments of `_call`.
     """
 
-    @overload
-    def __init__(
-        self: "CapturedDetection[PaddedContacts]",
-        scene: Scene,
-        motion: RigidMotion | VertexMotion,
-        report: narrow.ContactReport = "first",
-        min_separation: float = 0.0,
-        *,
-        capacity: Capacity | None = None,
-        **options: Unpack[DetectOptions],
-    ) -> None: ...
-    @overload
-    def __init__(
-        self: "CapturedDetection[PaddedCollidingPairs]",
-        scene: Scene,
-        motion: RigidMotion | VertexMotion,
-        report: Literal["any"],
-        min_separation: float = 0.0,
-        *,
-        capacity: Capacity | None = None,
-        **options: Unpack[DetectOptions],
-    ) -> None: ...
-    @overload
-    def __init__(
-        self: "CapturedDetection[PaddedContacts | PaddedCollidingPairs]",
-        scene: Scene,
-        motion: RigidMotion | VertexMotion,
-        report: narrow.Report,
-        min_separation: float = 0.0,
-        *,
-        capacity: Capacity | None = None,
-        **options: Unpack[DetectOptions],
-    ) -> None: ...
+    #: `pgccd.detect` or `pgccd.collide`.
+    _call: ClassVar[Callable[..., Any]]
+
     def __init__(
         self,
         scene: Scene,
         motion: RigidMotion | VertexMotion,
-        report: narrow.Report = "first",
-        min_separation: float = 0.0,
-        *,
-        capacity: Capacity | None = None,
-        **options: Unpack[DetectOptions],
+        options: Mapping[str, Any],
+        capacity: Capacity | None,
     ) -> None:
         if not isinstance(scene, Scene):
             raise TypeError(f"scene: expected a pgccd.Scene, got {arguments.describe(scene)}")
         if not isinstance(motion, (RigidMotion, VertexMotion)):
             kinds = "a pgccd.RigidMotion or pgccd.VertexMotion"
             raise TypeError(f"motion: expected {kinds}, got {arguments.describe(motion)}")
-        Query(  # checks them
-            report,
-            min_separation,
-            options.get("tolerance"),
-            options.get("nonzero_toi", False),
-            options.get("initial", "report"),
-        )
-        unknown = set(options) - DetectOptions.__annotations__.keys()
-        if unknown:
-            raise TypeError(f"{min(unknown)}: expected one of {list(DetectOptions.__annotations__)}")
-        if options.get("normals", "features") != "features":
-            raise ValueError(f'normals: captured steps have those of the "features", got {options["normals"]!r}')
-        arguments.choice(options.get("broad_phase", "auto"), "broad_phase", broad.BROAD_PHASES)
         if capacity is not None:
             sizes_of(capacity)
-        self.scene = scene
-        self._report, self._min_separation, self._options = report, min_separation, options
+        self.scene, self._options = scene, options
         self.capacity = capacity
         self.motion = _copy_of(motion)
         self._graph: Graph | None = None
@@ -189,24 +112,13 @@ class CapturedDetection(Generic[P]):
         self.load(motion)
         return self._replay()
 
-    @overload
-    def contacts(self: "CapturedDetection[PaddedContacts]") -> Contacts: ...
-    @overload
-    def contacts(self: "CapturedDetection[PaddedCollidingPairs]") -> CollidingPairs: ...
-    @overload
-    def contacts(self) -> Contacts | CollidingPairs: ...
-    def contacts(self) -> Contacts | CollidingPairs:
-        """A copy of the contacts of the last call; replays first if there was none. Synchronises. If a capacity was
-        exceeded, the step is captured again with a larger one, and replayed.
-
-        Raises:
-            ValueError: the motion is invalid.
-        """
+    def _trimmed(self) -> R:
+        """A copy of the result of the last call, see `CapturedDetection.contacts`."""
         padded = self.replay() if self._found is None else self._found
         self._records.pop(self._call_of_found, None)  # read now instead of two calls later
         while True:
             try:
-                found = padded.trim()
+                found: Any = padded.trim()
             except CapacityError as error:
                 self._grow(error)
                 padded = self._run()
@@ -283,21 +195,140 @@ class CapturedDetection(Generic[P]):
         return [*columns, *of_motion, written]
 
     def _estimate(self) -> Capacity:
-        found = detect(self.scene, self.motion, self._report, self._min_separation, **self._options)
-        needed = found.stats.needed
+        needed = self._call(self.scene, self.motion, **self._options).stats.needed
         if needed is None:
-            raise ValueError("motion: this step does not fit in memory in one pass; use pgccd.detect")
+            raise ValueError("motion: this step does not fit in memory in one pass; use pgccd.detect or pgccd.collide")
         return needed.times(_SLACK)
 
     def _detect(self) -> P:
         assert self.capacity is not None
-        found = detect(
-            self.scene, self.motion, self._report, self._min_separation, capacity=self.capacity, **self._options
-        )
-        return cast(P, found)
+        found: P = self._call(self.scene, self.motion, capacity=self.capacity, **self._options)
+        return found
 
     def __repr__(self) -> str:
-        return f"CapturedDetection(bodies={self.scene.body_count}, graph={self.is_graph}, device={self.scene.device})"
+        name = type(self).__name__
+        return f"{name}(bodies={self.scene.body_count}, graph={self.is_graph}, device={self.scene.device})"
+
+
+class CapturedDetection(_Captured[Contacts, PaddedContacts]):
+    """`pgccd.detect` for the steps of a loop: poses are loaded into fixed memory, one CUDA graph is replayed, and
+    contacts are read from fixed memory. The result is bitwise equal to that of `detect`.
+
+    The graph is captured by the first call, which takes longer and synchronises. On a CPU there is none: each call runs
+    `detect` with the same capacity (`is_graph` is False).
+
+    Each call of `__call__` or `replay` first reads the counts of the call before the last, which a GPU has usually
+    finished. If that exceeded a capacity, the graph is captured again with a larger one; if a pose was invalid, a
+    ValueError names body and column. So this happens at the same call in every run, on every device. Until then an
+    incomplete result reads as contact at the start of the step, see `PaddedContacts`: a loop that moves bodies by
+    `first_toi` stands still for such a step, and goes on once the capacity suffices.
+
+    Args:
+        scene: the bodies. Its columns are read at each call and may be written. If columns of the scene or of `motion`
+            are replaced, or `mesh_index` is written, the graph is captured again. The `mesh_index` of bodies that
+            deform is fixed.
+        motion: a step of the same kind as later ones, with the same number of bodies or vertices.
+        report, min_separation: as for `detect`.
+        capacity: of the result and of all intermediate lists. Default: 1.5 times what the first replayed motion needs.
+        options: tolerance, nonzero_toi, initial, broad_phase: as for `detect`.
+
+    Attributes:
+        scene: the bodies.
+        motion: the motion read by each replay, in fixed memory: written by `load`, or by kernels of the caller.
+        capacity: of the result and of all intermediate lists; None before the first replay, unless it was given.
+
+    Raises:
+        TypeError, ValueError: naming the argument.
+
+    Example:
+        >>> captured = pgccd.CapturedDetection(scene, motion)
+        >>> hits = captured(pgccd.RigidMotion(x0, q0, x1, q1))  # PaddedContacts
+        >>> safe = hits.first_toi().clamp(max=1.0)
+        >>> contacts = captured.contacts()  # trimmed copy; synchronises
+    """
+
+    _call = staticmethod(detect)
+
+    def __init__(
+        self,
+        scene: Scene,
+        motion: RigidMotion | VertexMotion,
+        report: narrow.Report = "first",
+        min_separation: float = 0.0,
+        *,
+        capacity: Capacity | None = None,
+        **options: Unpack[DetectOptions],
+    ) -> None:
+        narrow.check_report(report, "pgccd.CapturedCollision")
+        _check_options(report, min_separation, options, DetectOptions)
+        if options.get("normals", "features") != "features":
+            raise ValueError(f'normals: captured steps have those of the "features", got {options["normals"]!r}')
+        super().__init__(scene, motion, {"report": report, "min_separation": min_separation, **options}, capacity)
+
+    def contacts(self) -> Contacts:
+        """A copy of the contacts of the last call; replays first if there was none. Synchronises. If a capacity was
+        exceeded, the step is captured again with a larger one, and replayed.
+
+        Raises:
+            ValueError: the motion is invalid.
+        """
+        return self._trimmed()
+
+
+class CapturedCollision(_Captured[CollidingPairs, PaddedCollidingPairs]):
+    """`pgccd.collide` for the steps of a loop, as `CapturedDetection` is `pgccd.detect`: one CUDA graph is replayed. An
+    incomplete result reads as one in which all bodies collide, see `PaddedCollidingPairs`.
+
+    Args:
+        scene, motion, capacity: as for `CapturedDetection`.
+        min_separation, options: as for `collide`.
+
+    Attributes:
+        scene, motion, capacity: as of `CapturedDetection`.
+
+    Raises:
+        TypeError, ValueError: naming the argument.
+
+    Example:
+        >>> captured = pgccd.CapturedCollision(scene, motion)
+        >>> colliding = captured(pgccd.RigidMotion(x0, q0, x1, q1))  # PaddedCollidingPairs
+        >>> x = torch.where(colliding.may_collide(), x0, x1)
+        >>> pairs = captured.pairs()  # trimmed copy; synchronises
+    """
+
+    _call = staticmethod(collide)
+
+    def __init__(
+        self,
+        scene: Scene,
+        motion: RigidMotion | VertexMotion,
+        min_separation: float = 0.0,
+        *,
+        capacity: Capacity | None = None,
+        **options: Unpack[CollideOptions],
+    ) -> None:
+        _check_options("any", min_separation, options, CollideOptions)
+        super().__init__(scene, motion, {"min_separation": min_separation, **options}, capacity)
+
+    def pairs(self) -> CollidingPairs:
+        """A copy of the colliding pairs of the last call, made as `CapturedDetection.contacts`.
+
+        Raises:
+            ValueError: the motion is invalid.
+        """
+        return self._trimmed()
+
+
+def _check_options(
+    report: narrow.SearchReport, min_separation: float, options: Mapping[str, Any], known: type[CollideOptions]
+) -> None:
+    """Raises TypeError or ValueError, naming the argument, before anything is captured."""
+    of_query = {name: options[name] for name in ("tolerance", "nonzero_toi", "initial") if name in options}
+    Query(report, min_separation, **({"tolerance": None, "nonzero_toi": False} | of_query))  # checks them
+    unknown = set(options) - known.__annotations__.keys()
+    if unknown:
+        raise TypeError(f"{min(unknown)}: expected one of {list(known.__annotations__)}")
+    arguments.choice(options.get("broad_phase", "auto"), "broad_phase", broad.BROAD_PHASES)
 
 
 def _copy_of(motion: RigidMotion | VertexMotion) -> RigidMotion | VertexMotion:

@@ -1,55 +1,60 @@
-"""One step of continuous collision detection, from poses to contacts."""
+"""One step of continuous collision detection, from poses to contacts or to the pairs that collide."""
 
 import time
 from functools import partial
-from typing import Literal, TypedDict, Unpack, overload
+from typing import TypedDict, Unpack, overload
 
 from torch import Tensor
 
 from pgccd import arguments, ops
+from pgccd.contacts.by_body import SceneBodies
 from pgccd.contacts.contacts import CollidingPairs, Contacts
 from pgccd.contacts.gradients import add_gradients
 from pgccd.contacts.normals import NORMALS, Normals, surface_normals
 from pgccd.contacts.padded import PaddedCollidingPairs, PaddedContacts
 from pgccd.contacts.sites import Sites
+from pgccd.contacts.trajectories import TrajectoryContacts
 from pgccd.geometry.scene import Scene
 from pgccd.motion.differentiable import any_differentiated
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
 from pgccd.runtime.attempts import TooSmall, until_it_fits
 from pgccd.runtime.graph import is_capturing
+from pgccd.runtime.sizes import EXACTLY, BufferSizes, Capacity, sizes_of
 from pgccd.search import broad, narrow
 from pgccd.search.bodies import MovingBodies
 from pgccd.search.checks import Initial, check_pairs, separation_value, warn_of_only_body, warn_of_rounded_positions
 from pgccd.search.memory import CapacityEstimate, estimate_of, memory_limit, pairs_a_chunk
 from pgccd.search.padded import PaddedSearch, search_padded, search_rigid
 from pgccd.search.query import Query
-from pgccd.search.sizes import EXACTLY, BufferSizes, Capacity, sizes_of
 from pgccd.search.streaming import stream
-from pgccd.search.trajectories import TrajectoryContacts, detect_trajectory
+from pgccd.search.trajectories import contacts_along, pairs_along
 
 # A step that overflows is repeated with a larger capacity, at most once per stage that may overflow.
 _ATTEMPTS = 6
 
 
-class DetectOptions(TypedDict, total=False):
-    """Options of `detect`."""
+class CollideOptions(TypedDict, total=False):
+    """Options of `collide`."""
 
     tolerance: float | None
-    nonzero_toi: bool
     initial: Initial
-    normals: Normals
     broad_phase: broad.BroadPhase
     memory_budget: int | None
 
 
-# Of a step, of a step in a given capacity, and of a trajectory: by report contacts, colliding pairs, or either, if the
-# report is a variable.
+class DetectOptions(CollideOptions, total=False):
+    """Options of `detect`."""
+
+    nonzero_toi: bool
+    normals: Normals
+
+
 @overload
 def detect(
     scene: Scene,
     motion: RigidMotion | VertexMotion,
-    report: narrow.ContactReport = "first",
+    report: narrow.Report = "first",
     min_separation: float | Tensor = 0.0,
     *,
     pairs: Tensor | None = None,
@@ -60,29 +65,7 @@ def detect(
 def detect(
     scene: Scene,
     motion: RigidMotion | VertexMotion,
-    report: Literal["any"],
-    min_separation: float | Tensor = 0.0,
-    *,
-    pairs: Tensor | None = None,
-    capacity: None = None,
-    **options: Unpack[DetectOptions],
-) -> CollidingPairs: ...
-@overload
-def detect(
-    scene: Scene,
-    motion: RigidMotion | VertexMotion,
-    report: narrow.Report,
-    min_separation: float | Tensor = 0.0,
-    *,
-    pairs: Tensor | None = None,
-    capacity: None = None,
-    **options: Unpack[DetectOptions],
-) -> Contacts | CollidingPairs: ...
-@overload
-def detect(
-    scene: Scene,
-    motion: RigidMotion | VertexMotion,
-    report: narrow.ContactReport = "first",
+    report: narrow.Report = "first",
     min_separation: float | Tensor = 0.0,
     *,
     pairs: Tensor | None = None,
@@ -92,55 +75,13 @@ def detect(
 @overload
 def detect(
     scene: Scene,
-    motion: RigidMotion | VertexMotion,
-    report: Literal["any"],
-    min_separation: float | Tensor = 0.0,
-    *,
-    pairs: Tensor | None = None,
-    capacity: Capacity,
-    **options: Unpack[DetectOptions],
-) -> PaddedCollidingPairs: ...
-@overload
-def detect(
-    scene: Scene,
-    motion: RigidMotion | VertexMotion,
-    report: narrow.Report,
-    min_separation: float | Tensor = 0.0,
-    *,
-    pairs: Tensor | None = None,
-    capacity: Capacity,
-    **options: Unpack[DetectOptions],
-) -> PaddedContacts | PaddedCollidingPairs: ...
-@overload
-def detect(
-    scene: Scene,
     motion: Trajectory,
-    report: narrow.ContactReport = "first",
+    report: narrow.Report = "first",
     min_separation: float | Tensor = 0.0,
     *,
     pairs: Tensor | None = None,
     **options: Unpack[DetectOptions],
 ) -> TrajectoryContacts: ...
-@overload
-def detect(
-    scene: Scene,
-    motion: Trajectory,
-    report: Literal["any"],
-    min_separation: float | Tensor = 0.0,
-    *,
-    pairs: Tensor | None = None,
-    **options: Unpack[DetectOptions],
-) -> CollidingPairs: ...
-@overload
-def detect(
-    scene: Scene,
-    motion: Trajectory,
-    report: narrow.Report,
-    min_separation: float | Tensor = 0.0,
-    *,
-    pairs: Tensor | None = None,
-    **options: Unpack[DetectOptions],
-) -> TrajectoryContacts | CollidingPairs: ...
 def detect(
     scene: Scene,
     motion: RigidMotion | VertexMotion | Trajectory,
@@ -155,7 +96,7 @@ def detect(
     pairs: Tensor | None = None,
     memory_budget: int | None = None,
     capacity: Capacity | None = None,
-) -> Contacts | CollidingPairs | PaddedContacts | PaddedCollidingPairs:
+) -> Contacts | PaddedContacts:
     """Finds the collisions that happen during one step, or during all steps of a trajectory.
 
     Nothing is missed: if the surfaces of two bodies come within min_separation at some t in [0, 1] on the paths the
@@ -172,11 +113,11 @@ def detect(
     Args:
         scene: the bodies.
         motion: their paths. All segments of a `Trajectory` are tested in one call: "first" is then the first contact of
-            each pair over all segments, "earliest" that of the scene, "any" the pairs that collide in any segment, and
-            "all" the contacts of every segment; `capacity` may not be given.
-        report: "any": the body pairs that collide (Alg. 2 of Du, Liu & Suzumura 2017). "first": the earliest contact of
-            each pair (of equal toi the smallest kind and features). "all": every touching feature pair. "earliest": the
-            first contact of the scene; its toi is the largest collision-free fraction of the step.
+            each pair over all segments, "earliest" that of the scene, and "all" the contacts of every segment;
+            `capacity` may not be given.
+        report: "first": the earliest contact of each pair (of equal toi the smallest kind and features). "all": every
+            touching feature pair. "earliest": the first contact of the scene; its toi is the largest collision-free
+            fraction of the step. Which pairs collide, without contacts, `pgccd.collide` finds in less time.
         min_separation: length >= 0. Bodies may have margins besides, see `Scene`.
         tolerance: a reported contact comes within min_separation + tolerance (length). Default: 1e-6 of the smaller
             SBV radius of each pair.
@@ -202,9 +143,9 @@ def detect(
             `trim` raises: see `PaddedContacts`. (For deforming bodies, call it once before capturing.)
 
     Returns:
-        Contacts, on the scene's device; PaddedContacts if `capacity` is given, TrajectoryContacts for a trajectory.
-        With report="any" CollidingPairs, also for a trajectory, or PaddedCollidingPairs. On a GPU the host synchronises
-        once, to read the counts; again only if a step exceeds the capacity estimated from the last one.
+        Contacts, on the scene's device; PaddedContacts if `capacity` is given, TrajectoryContacts for a trajectory. On
+        a GPU the host synchronises once, to read the counts; again only if a step exceeds the capacity estimated from
+        the last one.
 
     Raises:
         ValueError, TypeError: naming the argument; also if an input requires grad and a capacity is given. A
@@ -215,31 +156,23 @@ def detect(
         >>> safe = float(hits.toi[0]) if len(hits) else 1.0
         >>> x = x0 + safe * (x1 - x0)
     """
+    narrow.check_report(report)
     separation = separation_value(min_separation) if isinstance(min_separation, Tensor) else min_separation
     query = Query(report, separation, tolerance, nonzero_toi, initial)
-    if memory_budget is not None:
-        memory_budget = arguments.integer(memory_budget, "memory_budget", 1, "a number of bytes > 0")
     arguments.choice(normals, "normals", NORMALS)
-    arguments.choice(broad_phase, "broad_phase", broad.BROAD_PHASES)
     if normals != "features" and capacity is not None:
         raise ValueError(f'normals: contacts in a given capacity have those of the "features", got {normals!r}')
-    sizes = None if capacity is None else sizes_of(capacity)
-    if not isinstance(scene, Scene):
-        raise TypeError(f"scene: expected a pgccd.Scene, got {arguments.describe(scene)}")
-    if not isinstance(motion, (RigidMotion, VertexMotion, Trajectory)):
-        kinds = "a pgccd.RigidMotion, VertexMotion or Trajectory"
-        raise TypeError(f"motion: expected {kinds}, got {arguments.describe(motion)}")
+    sizes = _check(scene, motion, broad_phase, memory_budget, capacity)
     if isinstance(motion, Trajectory):
         if scene.body_count == 1:
             warn_of_only_body(scene, motion)
-        if capacity is not None:
-            raise ValueError("capacity: cannot be given with a Trajectory, whose segments are found in one call")
         options: DetectOptions = {"tolerance": tolerance, "nonzero_toi": nonzero_toi, "initial": initial}
         options |= {"normals": normals, "broad_phase": broad_phase, "memory_budget": memory_budget}
-        detect_step = partial(detect, min_separation=min_separation, **options)
-        of_segments = detect_trajectory(scene, motion, query, detect_step, pairs)
+        of_step: narrow.Report = "first" if report == "earliest" else report
+        find = partial(detect, report=of_step, min_separation=min_separation, **options)
+        along = contacts_along(scene, motion, report, find, pairs)
         warn_of_rounded_positions(scene, motion)
-        return of_segments
+        return along
     given = scene, motion
     differentiated = any_differentiated(*motion._values(), scene.margin, min_separation)
     if differentiated:
@@ -254,25 +187,14 @@ def detect(
                 "torch.no_grad()"
             )
         scene, motion = scene._detached(), motion._detached()
-    on_cpu = scene.device.type == "cpu"
-    start = time.perf_counter() if capacity is None else 0.0  # time is not available in compiled graphs
-    # The operator for the whole step finds no pairs if a pose is invalid.
-    is_one_operator = pairs is None and isinstance(motion, RigidMotion)
-    bodies = MovingBodies.of(scene, motion, wait=on_cpu and capacity is None and not is_one_operator)
+    found = _search(scene, motion, query, broad_phase, pairs, memory_budget, sizes)
     if scene.body_count == 1:
         warn_of_only_body(scene, motion)
-    if capacity is None and motion._is_of_float32:  # a captured step cannot wait for an answer
-        warn_of_rounded_positions(scene, motion)
-    seconds = time.perf_counter() - start if capacity is None else 0.0
-    if pairs is not None:
-        pairs = check_pairs(pairs, scene, bodies.deforming, ascending=True)
-    if sizes is not None:
-        return search_padded(bodies, query, sizes, broad_phase, pairs, marks_invalid=True).padded()
-    found = detect_moving(bodies, query, broad_phase, pairs, memory_budget)
-    found.stats.seconds = {"bounds": seconds} | found.stats.seconds
-    found.scene = given[0]
-    if isinstance(found, CollidingPairs):
+    if isinstance(found, PaddedContacts):  # a captured step cannot wait for an answer
         return found
+    if motion._is_of_float32:
+        warn_of_rounded_positions(scene, motion)
+    assert isinstance(found, Contacts)
     if differentiated:
         add_gradients(found, *given, min_separation)
     elif normals == "surface":
@@ -286,6 +208,130 @@ def detect(
         "initial": initial,
         "normals": normals,
     }
+    return found
+
+
+@overload
+def collide(
+    scene: Scene,
+    motion: RigidMotion | VertexMotion | Trajectory,
+    min_separation: float | Tensor = 0.0,
+    *,
+    pairs: Tensor | None = None,
+    capacity: None = None,
+    **options: Unpack[CollideOptions],
+) -> CollidingPairs: ...
+@overload
+def collide(
+    scene: Scene,
+    motion: RigidMotion | VertexMotion,
+    min_separation: float | Tensor = 0.0,
+    *,
+    pairs: Tensor | None = None,
+    capacity: Capacity,
+    **options: Unpack[CollideOptions],
+) -> PaddedCollidingPairs: ...
+def collide(
+    scene: Scene,
+    motion: RigidMotion | VertexMotion | Trajectory,
+    min_separation: float | Tensor = 0.0,
+    *,
+    pairs: Tensor | None = None,
+    capacity: Capacity | None = None,
+    tolerance: float | None = None,
+    initial: Initial = "report",
+    broad_phase: broad.BroadPhase = "auto",
+    memory_budget: int | None = None,
+) -> CollidingPairs | PaddedCollidingPairs:
+    """Finds the pairs of bodies that collide during one step, or in any step of a trajectory (Alg. 2 of Du, Liu &
+    Suzumura 2017), without the times and places of their contacts.
+
+    These are the pairs that have contacts in `pgccd.detect`, which proves the same and takes the same arguments. The
+    search of a pair ends with the first pair of features that certainly touches at any time, not with the first time.
+
+    Args:
+        scene: the bodies.
+        motion: their paths. All segments of a `Trajectory` are tested in one call; `capacity` may not be given then.
+        min_separation, pairs, capacity, tolerance, initial, broad_phase, memory_budget: as for `pgccd.detect`.
+
+    Returns:
+        CollidingPairs, on the scene's device; PaddedCollidingPairs if `capacity` is given. The pairs have no gradients.
+        Synchronises with a GPU as `pgccd.detect` does.
+
+    Raises:
+        ValueError, TypeError: naming the argument. A UserWarning names a scene whose only body is not tested against
+            itself.
+
+    Example:
+        >>> colliding = pgccd.collide(scene, motion)
+        >>> colliding.pairs, colliding.may_collide("body")
+        (tensor([[0, 1]]), tensor([True, True]))
+    """
+    query = Query("any", separation_value(min_separation), tolerance, False, initial)
+    sizes = _check(scene, motion, broad_phase, memory_budget, capacity)
+    if isinstance(motion, Trajectory):
+        if scene.body_count == 1:
+            warn_of_only_body(scene, motion)
+        options: CollideOptions = {"tolerance": tolerance, "initial": initial, "broad_phase": broad_phase}
+        options |= {"memory_budget": memory_budget}
+        along = pairs_along(scene, motion, partial(collide, min_separation=min_separation, **options), pairs)
+        warn_of_rounded_positions(scene, motion)
+        return along
+    found = _search(scene._detached(), motion._detached(), query, broad_phase, pairs, memory_budget, sizes)
+    if scene.body_count == 1:
+        warn_of_only_body(scene, motion)
+    if capacity is None:
+        warn_of_rounded_positions(scene, motion)
+    assert isinstance(found, (CollidingPairs, PaddedCollidingPairs))
+    return found
+
+
+def _check(
+    scene: Scene,
+    motion: RigidMotion | VertexMotion | Trajectory,
+    broad_phase: broad.BroadPhase,
+    memory_budget: int | None,
+    capacity: Capacity | None,
+) -> BufferSizes | None:
+    """Raises TypeError or ValueError, naming the argument, if one is invalid; returns the sizes of the capacity."""
+    if memory_budget is not None:
+        arguments.integer(memory_budget, "memory_budget", 1, "a number of bytes > 0")
+    arguments.choice(broad_phase, "broad_phase", broad.BROAD_PHASES)
+    sizes = None if capacity is None else sizes_of(capacity)
+    if not isinstance(scene, Scene):
+        raise TypeError(f"scene: expected a pgccd.Scene, got {arguments.describe(scene)}")
+    if not isinstance(motion, (RigidMotion, VertexMotion, Trajectory)):
+        kinds = "a pgccd.RigidMotion, VertexMotion or Trajectory"
+        raise TypeError(f"motion: expected {kinds}, got {arguments.describe(motion)}")
+    if isinstance(motion, Trajectory) and capacity is not None:
+        raise ValueError("capacity: cannot be given with a Trajectory, whose segments are found in one call")
+    return sizes
+
+
+def _search(
+    scene: Scene,
+    motion: RigidMotion | VertexMotion,
+    query: Query,
+    broad_phase: broad.BroadPhase,
+    pairs: Tensor | None,
+    memory_budget: int | None,
+    sizes: BufferSizes | None,
+) -> Contacts | CollidingPairs | PaddedContacts | PaddedCollidingPairs:
+    """One step of a user's scene and motion, without gradients; in a capacity of these sizes, if they are given."""
+    on_cpu = scene.device.type == "cpu"
+    memory_budget = None if memory_budget is None else int(memory_budget)
+    start = time.perf_counter() if sizes is None else 0.0  # time is not available in compiled graphs
+    # An operator for the whole step also checks the poses.
+    is_one_operator = pairs is None and isinstance(motion, RigidMotion)
+    bodies = MovingBodies.of(scene, motion, wait=on_cpu and sizes is None and not is_one_operator)
+    seconds = time.perf_counter() - start if sizes is None else 0.0
+    if pairs is not None:
+        pairs = check_pairs(pairs, scene, bodies.deforming, ascending=True)
+    if sizes is not None:
+        return search_padded(bodies, query, sizes, broad_phase, pairs, marks_invalid=True).padded()
+    found = detect_moving(bodies, query, broad_phase, pairs, memory_budget)
+    found.stats.seconds = {"bounds": seconds} | found.stats.seconds
+    found._bodies = SceneBodies.of(scene)
     return found
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -13,13 +13,14 @@ from torch import Tensor
 from pgccd import arguments, ops
 from pgccd.contacts.contacts import earliest_of_each
 from pgccd.contacts.rows import Form, Rows
+from pgccd.contacts.trajectories import time_along
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
 from pgccd.search import broad
 from pgccd.search.bodies import MovingBodies
 from pgccd.search.checks import RELATIVE_TOLERANCE, check_pairs, operator_tolerance, warn_of_rounded_positions
-from pgccd.search.trajectories import in_scene, segments_as_step, time_along
+from pgccd.search.trajectories import in_scene, segments_as_step
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -59,22 +60,6 @@ class Distances(Rows):
         "points": (torch.float64, (2, 3)),
         "converged": (torch.bool, ()),
     }
-
-    @classmethod
-    def from_state_dict(cls, state: Mapping[str, Any]) -> Distances:
-        """The distances of a `state_dict`, on the device of its tensors.
-
-        Args:
-            state: from `state_dict`.
-
-        Raises:
-            TypeError, ValueError: naming the entry that is missing or invalid.
-
-        Example:
-            >>> near = pgccd.distance(scene, motion, cutoff=0.1)
-            >>> again = pgccd.Distances.from_state_dict(near.state_dict())
-        """
-        return cls(**cls._columns_of(state))
 
     def __repr__(self) -> str:
         """The number of pairs, and the bounds of the least distance of all."""

@@ -16,7 +16,7 @@ from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
 from pgccd.search import broad
 from pgccd.search.bodies import MovingBodies
-from pgccd.search.detect import detect
+from pgccd.search.detect import collide
 
 # Rows at a time, to bound memory.
 _ROWS = 1 << 16
@@ -202,7 +202,7 @@ def _meet(
     thick.margin = None if margin is None else torch.from_numpy(margin).to(scene.device)
     ascending = np.sort(rows, axis=1)
     pairs = torch.from_numpy(np.unique(ascending, axis=0)).to(scene.device)
-    meeting = detect(thick, still, "any", tolerance=0.0, pairs=pairs).pairs.cpu().numpy()
+    meeting = collide(thick, still, tolerance=0.0, pairs=pairs).pairs.cpu().numpy()
     of_pair = [scene.body_count, 1]
     return np.isin(ascending @ of_pair, meeting @ of_pair)
 

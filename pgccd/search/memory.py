@@ -7,8 +7,8 @@ import torch
 from torch import Tensor
 
 from pgccd.geometry.scene import Scene
+from pgccd.runtime.sizes import MOST_ROWS, BufferSizes, Capacity, sizes_of
 from pgccd.search.query import Query
-from pgccd.search.sizes import MOST_ROWS, BufferSizes, Capacity, sizes_of
 
 _DEFAULT_BUDGET = 1 << 30
 # Capacity relative to what the last step needed.

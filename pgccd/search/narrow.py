@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Literal, get_args
 
 import torch
 from torch import Tensor
@@ -23,11 +23,13 @@ from pgccd.search.checks import (
     separation_value,
 )
 
-__all__ = ["ContactReport", "ElementaryResult", "Kind", "Report", "Status", "edge_edge", "find_contacts", "vertex_face"]
+__all__ = ["ElementaryResult", "Kind", "Report", "SearchReport", "Status", "edge_edge", "find_contacts", "vertex_face"]
 
-Report = Literal["any", "first", "all", "earliest"]
-#: The reports that give contacts, not only pairs.
-ContactReport = Literal["first", "all", "earliest"]
+#: Which contacts of a pair `pgccd.detect` gives.
+Report = Literal["first", "all", "earliest"]
+#: Of searches besides: "any", for the pairs of `pgccd.collide`.
+SearchReport = Literal["any", "first", "all", "earliest"]
+_OF_CONTACTS = get_args(Report)
 # Numbers of the enum Report in csrc/kernels/narrow/narrow.h. For "earliest", operators may leave out later contacts.
 REPORTS: dict[str, int] = {"any": 0, "first": 1, "all": 2, "earliest": 3}
 
@@ -149,11 +151,18 @@ def _solve(
     )
 
 
+def check_report(report: SearchReport, collide: str = "pgccd.collide") -> None:
+    """Raises TypeError or ValueError unless this is a report of contacts; `collide` is the call that finds pairs."""
+    if isinstance(report, str) and report == "any":
+        raise ValueError(f'report: "any" is a call of its own: {collide} finds the pairs that collide')
+    arguments.choice(report, "report", _OF_CONTACTS)
+
+
 def find_contacts(
     bodies: MovingBodies,
     pairs: Tensor,
     candidates: Tensor,
-    report: Report = "first",
+    report: SearchReport = "first",
     min_separation: float = 0.0,
     tolerance: float | None = None,
     nonzero_toi: bool = False,
@@ -163,7 +172,8 @@ def find_contacts(
     Args:
         bodies, pairs: as for `pgccd.traverse.find_candidates`.
         candidates: (C, 4) int32, as returned by `find_candidates`.
-        report, min_separation, tolerance, nonzero_toi: as for `pgccd.detect`.
+        report: as for `pgccd.detect`; or "any": one contact of each pair that collides, not necessarily the first.
+        min_separation, tolerance, nonzero_toi: as for `pgccd.detect`.
 
     Returns:
         Contacts in canonical order: index into `pairs` (K,), kind (K,), features (K, 2), status (K,), toi (K,),

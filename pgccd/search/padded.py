@@ -8,12 +8,13 @@ import torch
 from torch import Tensor
 
 from pgccd import ops
+from pgccd.contacts.by_body import SceneBodies
 from pgccd.contacts.contacts import COLUMNS, CollidingPairs, ContactRows, Contacts, contacts_of, take_earliest
 from pgccd.contacts.padded import PaddedCollidingPairs, PaddedContacts, stats_of
+from pgccd.runtime.sizes import COUNT_ROWS, COUNTS_OF_PAIRS, EXACTLY, BufferSizes, Counts, overflow_flags
 from pgccd.search import broad, narrow
 from pgccd.search.bodies import MovingBodies
 from pgccd.search.query import Query
-from pgccd.search.sizes import COUNT_ROWS, COUNTS_OF_PAIRS, EXACTLY, BufferSizes, Counts, overflow_flags
 
 
 @dataclass
@@ -64,9 +65,8 @@ class PaddedSearch:
             "counts": self.counts,
             "capacity": self.capacity,
             "broad_phase": self.broad_phase,
-            "bodies": self.bodies.scene.body_count,
-            "scene": self.bodies.scene,
-            "_validation": self.bodies._validation,
+            "_bodies": SceneBodies.of(self.bodies.scene),
+            "_validation": self.bodies._validation.weakly(),
             "_reach": self.reach,
         }
         if self.query.report == "any":

@@ -10,14 +10,13 @@ from torch import Tensor
 
 from pgccd import ops
 from pgccd.contacts.contacts import CollidingPairs, Contacts, Stats
+from pgccd.runtime.sizes import COUNT_ROWS, BufferSizes, Counts, sizes_of
 from pgccd.search import broad
 from pgccd.search.bodies import MovingBodies
 from pgccd.search.detect import detect_moving, expected_capacity, start_search
 from pgccd.search.memory import CapacityEstimate
 from pgccd.search.padded import PaddedSearch
 from pgccd.search.query import Query
-from pgccd.search.sizes import COUNT_ROWS, BufferSizes, Counts, sizes_of
-from pgccd.search.streaming import join_contacts
 
 # Capacity for pairs found without synchronising, relative to the last step. Larger than for pairs of known number,
 # since the number of pairs may grow too.
@@ -123,7 +122,7 @@ class SearchPass:
         if self._contacts is None:
             return self._padded_first_contacts
         if isinstance(self._contacts, CollidingPairs):
-            raise ValueError('report: "any" gives no toi')
+            raise ValueError("pairs that collide have no toi")
         return self.in_step(self._contacts.pairs), self._contacts.toi
 
     @functools.cached_property
@@ -242,7 +241,8 @@ def contacts_of_step(passes: Sequence[SearchPass]) -> Contacts | CollidingPairs:
     found = [each.find() for each in passes]
     if len(passes) == 1:
         return found[0]
-    return join_contacts(found, [each.in_step(own.pairs) for each, own in zip(passes, found, strict=True)])
+    in_step: Any = [replace(own, pairs=each.in_step(own.pairs)) for each, own in zip(passes, found, strict=True)]
+    return type(found[0]).cat(in_step)
 
 
 def first_contacts_of(passes: Sequence[SearchPass]) -> tuple[Tensor, Tensor]:

@@ -15,7 +15,7 @@ class Query:
         TypeError, ValueError: naming the option.
     """
 
-    report: narrow.Report
+    report: narrow.SearchReport
     min_separation: float
     tolerance: float | None
     nonzero_toi: bool

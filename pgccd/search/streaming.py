@@ -2,20 +2,16 @@
 
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
-import torch
 from torch import Tensor
 
-from pgccd.contacts.contacts import CollidingPairs, Contacts, Stats
+from pgccd.contacts.contacts import CollidingPairs, Contacts
 from pgccd.search import broad
 from pgccd.search.bodies import MovingBodies
 from pgccd.search.memory import estimate_of, pairs_a_chunk
 from pgccd.search.query import Query
-from pgccd.search.sizes import BufferSizes
-
-_SUMS = ("pcs", "node_tests", "candidates", "contacts", "unresolved", "chunks", "waits")
 
 #: Finds the contacts of given pairs (P, 2); None if they need more memory than a budget.
 SolvePairs = Callable[[Tensor, int | None], Contacts | CollidingPairs | None]
@@ -43,7 +39,7 @@ def stream(
         bodies._raise_invalid(bodies._first_invalid_rows().tolist())
         pairs = broad.find_pairs_of_checked(bodies, query.min_separation, chosen, query.tolerance)
     seconds = time.perf_counter() - start
-    parts: list[Contacts | CollidingPairs] = []
+    parts: list[Any] = []
     # Stack of remaining chunks, the next one last.
     length = pairs_a_chunk(bodies.scene, estimate_of(bodies.scene, query, None), memory_budget, pairs.shape[0])
     chunks = [pairs] if pairs.shape[0] <= length else list(pairs.split(length))[::-1]
@@ -59,7 +55,7 @@ def stream(
         if found is None:
             raise RuntimeError("memory: a single pair of bodies needs more rows than can be numbered")
         parts.append(found)
-    contacts = parts[0] if len(parts) == 1 else join_contacts(parts, [part.pairs for part in parts])
+    contacts: Contacts | CollidingPairs = parts[0] if len(parts) == 1 else type(parts[0]).cat(parts)
     if len(parts) > 1 and query.report == "earliest" and isinstance(contacts, Contacts):
         contacts = contacts.earliest()
     contacts.stats.broad_phase = chosen
@@ -67,25 +63,3 @@ def stream(
         stage: spent for stage, spent in contacts.stats.seconds.items() if stage != "broad"
     }
     return contacts
-
-
-def join_contacts(parts: Sequence[Contacts | CollidingPairs], pairs: Sequence[Tensor]) -> Contacts | CollidingPairs:
-    """The contacts of all parts, concatenated.
-
-    Args:
-        parts: contacts of the same report.
-        pairs: (K, 2) per part, replacing its own.
-    """
-    columns: dict[str, Any] = {"pairs": torch.cat(list(pairs))}
-    columns |= {name: torch.cat([part.columns[name] for part in parts]) for name in parts[0].columns if name != "pairs"}
-    stats = Stats(bodies=parts[0].stats.bodies, broad_phase=parts[0].stats.broad_phase)
-    for part in parts:
-        for name in _SUMS:
-            setattr(stats, name, getattr(stats, name) + getattr(part.stats, name))
-        for stage, spent in part.stats.seconds.items():
-            stats.seconds[stage] = stats.seconds.get(stage, 0.0) + spent
-    stats.contacts = len(columns["pairs"])
-    stats.scratch_bytes = max(part.stats.scratch_bytes for part in parts)
-    if columns["pairs"].device.type == "cpu":
-        stats.needed = BufferSizes(pairs=stats.pcs, contacts=stats.contacts, candidates=stats.candidates)
-    return type(parts[0])(**columns, stats=stats)

@@ -1,13 +1,14 @@
 """Detection along a trajectory: all segments in one call."""
 
-from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Protocol
+from dataclasses import replace
+from typing import Any, Protocol, TypeVar
 
 import torch
 from torch import Tensor
 
-from pgccd.contacts.by_body import By
-from pgccd.contacts.contacts import COLUMNS, CollidingPairs, Contacts, earliest_row
+from pgccd.contacts.by_body import SceneBodies
+from pgccd.contacts.contacts import CollidingPairs, Contacts, earliest_row
+from pgccd.contacts.trajectories import TrajectoryContacts, time_along
 from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
 from pgccd.motion.differentiable import with_gradient_of
 from pgccd.motion.paths import RigidMotion, VertexMotion
@@ -15,55 +16,18 @@ from pgccd.motion.trajectory import Trajectory
 from pgccd.search import narrow
 from pgccd.search.bodies import check_scene
 from pgccd.search.checks import check_pairs
-from pgccd.search.query import Query
 
 _MOST_ROWS = 2**31
 
 
-@dataclass(eq=False, kw_only=True, repr=False)
-class TrajectoryContacts(Contacts):
-    """Contacts along a trajectory.
-
-    With report="all", sorted by segment, pair, kind and features. With "first" one row per pair: the one with the
-    smallest segment, toi, kind and features. With "any" a trajectory gives `CollidingPairs`: the pairs that collide in
-    any segment.
-
-    Attributes:
-        segment: (K,) int64: from waypoint `segment` to the next.
-        toi: (K,) float64 in [0, 1], within the segment.
-        time: (K,) float64 in [0, 1] along the whole trajectory: (segment + toi) / (T - 1), rounded down.
-        pairs, kind, features, coordinates, point, normal, status, stats, payload, scene: as of `Contacts`.
-    """
-
-    segment: Tensor
-    time: Tensor
-
-    _names: ClassVar[tuple[str, ...]] = (*COLUMNS, "segment", "time")
-
-    @property
-    def _order(self) -> tuple[Tensor, ...]:
-        return self.segment, self.toi
-
-    def first_toi(self, by: By = "scene") -> Tensor:
-        """The first `time` along the whole trajectory: in [0, 1], float64, inf without a contact.
-
-        Args:
-            by: "scene" (), "world" (W,) or "body" (N,): see `Contacts.first_toi`.
-
-        Raises:
-            ValueError: `by` is unknown or needs a scene; or these are the contacts of one of several ranks.
-        """
-        self._require_all_ranks()
-        return self._first_time(self.time, by)
+R_co = TypeVar("R_co", bound=Contacts | CollidingPairs, covariant=True)
 
 
-class DetectStep(Protocol):
-    """Finds the contacts of one step."""
+class FindInStep(Protocol[R_co]):
+    """Finds the contacts, or the colliding pairs, of one step."""
 
-    def __call__(
-        self, scene: Scene, motion: RigidMotion | VertexMotion, report: narrow.Report, *, pairs: Tensor | None
-    ) -> Contacts | CollidingPairs:
-        """As `pgccd.detect`."""
+    def __call__(self, scene: Scene, motion: RigidMotion | VertexMotion, *, pairs: Tensor | None) -> R_co:
+        """As `pgccd.detect` and `pgccd.collide`, with other arguments bound."""
 
 
 def check_trajectory(scene: Scene, trajectory: Trajectory) -> None:
@@ -78,14 +42,10 @@ def check_trajectory(scene: Scene, trajectory: Trajectory) -> None:
 
 
 def detect_segments(
-    scene: Scene,
-    trajectory: Trajectory,
-    report: narrow.Report,
-    detect_step: DetectStep,
-    pairs: Tensor | None = None,
-) -> tuple[Contacts | CollidingPairs, Tensor, Tensor]:
-    """What `detect_step` finds in each segment of a trajectory: rows whose pairs are of the copies below, sorted by
-    segment; and for each row its segment (K,) and the pair (K, 2) of the scene.
+    scene: Scene, trajectory: Trajectory, find: FindInStep[R_co], pairs: Tensor | None = None
+) -> tuple[R_co, Tensor, Tensor]:
+    """What `find` finds in each segment of a trajectory: rows whose pairs are of the copies below, sorted by segment;
+    and for each row its segment (K,) and the pair (K, 2) of the scene.
 
     All segments run as one step of a scene with one copy of each body per segment; the copies of different segments are
     in different worlds, so no broad phase pairs them.
@@ -93,7 +53,7 @@ def detect_segments(
     if pairs is not None:
         pairs = check_pairs(pairs, scene, trajectory.orientation is None, ascending=True)
     copies, steps, of_copies = segments_as_step(scene, trajectory, pairs)
-    found = detect_step(copies, steps, report, pairs=of_copies)
+    found = find(copies, steps, pairs=of_copies)
     return found, *in_scene(found.pairs, scene.body_count)
 
 
@@ -121,24 +81,31 @@ def in_scene(pairs: Tensor, count: int) -> tuple[Tensor, Tensor]:
     return segment, pairs - segment[:, None] * count
 
 
-def detect_trajectory(
-    scene: Scene, trajectory: Trajectory, query: Query, detect_step: DetectStep, pairs: Tensor | None = None
-) -> TrajectoryContacts | CollidingPairs:
-    """`pgccd.detect` for a trajectory."""
-    # "earliest" selects from the first contacts of all segments.
-    report: narrow.Report = "first" if query.report == "earliest" else query.report
-    found, _, bodies = detect_segments(scene, trajectory, report, detect_step, pairs)
-    if isinstance(found, CollidingPairs):
-        bodies = torch.unique(bodies, dim=0) if len(bodies) else bodies
-        stats = replace(found.stats, bodies=scene.body_count, needed=None, contacts=len(bodies))
-        return CollidingPairs(pairs=bodies, stats=stats, scene=scene)
-    return _of_trajectory(found, scene, trajectory.segment_count, query.report)
+def pairs_along(
+    scene: Scene, trajectory: Trajectory, find: FindInStep[CollidingPairs], pairs: Tensor | None
+) -> CollidingPairs:
+    """`pgccd.collide` for a trajectory, given that of a step."""
+    found, _, bodies = detect_segments(scene, trajectory, find, pairs)
+    bodies = torch.unique(bodies, dim=0) if len(bodies) else bodies
+    stats = replace(found.stats, bodies=scene.body_count, needed=None, contacts=len(bodies))
+    return CollidingPairs(pairs=bodies, stats=stats, _bodies=SceneBodies.of(scene))
 
 
-def _of_trajectory(found: Contacts, scene: Scene, segments: int, report: narrow.Report) -> TrajectoryContacts:
-    """Contacts along a trajectory, from those of all its segments."""
-    count = scene.body_count
-    segment, pairs = in_scene(found.pairs, count)
+def contacts_along(
+    scene: Scene,
+    trajectory: Trajectory,
+    report: narrow.Report,
+    find: FindInStep[Contacts],
+    pairs: Tensor | None,
+) -> TrajectoryContacts:
+    """`pgccd.detect` for a trajectory.
+
+    Args:
+        scene, trajectory, report, pairs: its arguments.
+        find: that of a step; for "earliest", which selects from the first contacts of all segments, by report "first".
+    """
+    found, segment, pairs = detect_segments(scene, trajectory, find, pairs)
+    count, segments = scene.body_count, trajectory.segment_count
     chosen: Tensor | slice = slice(None)
     if report == "first":
         chosen = _first_of_pairs(pairs, count)
@@ -156,31 +123,11 @@ def _of_trajectory(found: Contacts, scene: Scene, segments: int, report: narrow.
         stats=stats,
         segment=segment,
         time=time,
-        scene=scene,
+        _bodies=SceneBodies.of(scene),
         _is_earliest=report == "earliest",
         _differentiable=None if found._differentiable is None else found._differentiable[chosen],
         _found_with=None if found._found_with is None else found._found_with | {"report": report},
     )
-
-
-def time_along(segment: Tensor, toi: Tensor, segments: int) -> Tensor:
-    """(K,) float64: times in [0, 1] along a trajectory of so many segments, from times within a segment: never later
-    than the exact ones, so both operations are corrected where they have rounded up.
-
-    The divisor is a tensor, because torch divides by a Python number on CUDA by multiplying with its reciprocal, which
-    rounds differently.
-    """
-    count = torch.full((), segments, dtype=torch.float64, device=toi.device)
-    begin, zero = segment.to(torch.float64), torch.zeros((), dtype=torch.float64, device=toi.device)
-    total = begin + toi
-    # Exact, since `begin` is 0 or not less than `toi` (Dekker 1971): negative where the sum is too large.
-    total = torch.where(toi - (total - begin) < 0.0, torch.nextafter(total, zero), total)
-    time = total / count
-    # The remainder is exact: products of 26 bits, by Veltkamp's splitting, and numbers of up to 27 bits.
-    large = time * 134217729.0  # 2^27 + 1
-    high = large - (large - time)
-    remainder = (total - high * count) - (time - high) * count
-    return torch.where(remainder < 0.0, torch.nextafter(time, zero), time)
 
 
 def repeated(scene: Scene, times: int) -> Scene:

@@ -17,10 +17,10 @@ from pgccd.distributed.partition.balance import RankLoads
 from pgccd.resolution.counts import GatheredCounts, Rows, SearchCounts
 from pgccd.resolution.round_plan import RoundPlan
 from pgccd.resolution.rounds import Attempt, Exchange, RoundSearch
+from pgccd.runtime.sizes import Counts
 from pgccd.runtime.stages import StageClock
 from pgccd.runtime.transaction import TransactionGraph
 from pgccd.search.passes import first_contacts_of
-from pgccd.search.sizes import Counts
 from pgccd.sim.model import PLANNED, Model, RobotState
 from pgccd.sim.reports import Reports
 from pgccd.sim.tally import Tally, count_step

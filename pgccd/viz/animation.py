@@ -14,12 +14,12 @@ from pgccd import arguments, ops
 from pgccd.contacts.contacts import ContactColumns, PairColumns
 from pgccd.contacts.kinds import Status
 from pgccd.contacts.padded import PaddedContacts
+from pgccd.contacts.trajectories import TrajectoryContacts
 from pgccd.geometry.columns import require_meshes
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.times import fractions_of
 from pgccd.motion.trajectory import Trajectory
-from pgccd.search.trajectories import TrajectoryContacts
 
 _StepMotion: TypeAlias = RigidMotion | VertexMotion
 #: The motion of a scene.
@@ -35,7 +35,7 @@ INCOMPLETE = (
     "The result is incomplete (a capacity was exceeded, or a pose is invalid): there may be other contacts, and it "
     "counts as a contact of every body at the start."
 )
-WITHOUT_TIMES = 'The result of report="any" has pairs of bodies, but no times and points of contacts.'
+WITHOUT_TIMES = "The result of collide has pairs of bodies, but no times and points of contacts."
 
 
 @dataclass

@@ -124,7 +124,7 @@ def test_what_a_passage_is() -> None:
     assert found.passages.time.tolist() == pytest.approx([(1.0 + gap / 0.75) / 3.0], abs=1e-6)
     assert found.passages.approach.tolist() == pytest.approx([0.75], rel=1e-12)
     assert found.passages.measure.tolist() == pytest.approx([0.75 - gap], rel=1e-5)
-    assert found.passages.scene is scene and found.passages.stats.contacts == 1
+    assert found.passages.body_count == scene.body_count and found.passages.stats.contacts == 1
     # A segment that ends in the plate, or starts there, is shown by the frame.
     found = pgccd.audit(scene, heights(1.0, 0.055, -1.0, 1.0))
     assert rows_of(found.passages) == {(2, 0, 1)} and runs_of(found.touching) == [(0, 1, 1, 1)]
@@ -376,10 +376,10 @@ def test_states_of_passages() -> None:
     frames = [(torch.tensor([[0.0, 0, 0], [x, 0.1, 0.2]]), upright) for x in (-3.0, 3.0, 3.0)]
     passages = pgccd.audit(scene, frames).passages
     assert len(passages) == 1
-    again = pgccd.auditing.results.Passages.from_state_dict(passages.state_dict(), scene)
+    again = pgccd.auditing.results.Passages.from_state_dict(passages.state_dict())
     for name, column in passages.columns.items():
         assert torch.equal(getattr(again, name), column), name
     assert float(again.measure) == float(passages.measure) > 0.0
     state = passages.state_dict() | {"measure": passages.measure.float()}
     with pytest.raises(TypeError, match="^measure: expected torch.float64"):
-        type(passages).from_state_dict(state, scene)
+        type(passages).from_state_dict(state)

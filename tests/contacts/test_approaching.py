@@ -15,7 +15,7 @@ from support.same_bits import bits
 from torch import Tensor
 
 import pgccd
-from pgccd.search.sizes import Capacity
+from pgccd.runtime.sizes import Capacity
 
 CUBE = box((0.5, 0.5, 0.5))
 FLOOR = box((10, 10, 0.5), (0, 0, -0.5))
@@ -377,7 +377,7 @@ def test_refusals() -> None:
     with pytest.raises(ValueError, match=r'report: "earliest" leaves out'):
         pgccd.approaching(scene, motion, pgccd.detect(scene, motion, "earliest"))
     rates = pgccd.approach_rates(scene, motion, hits)
-    without: list[Any] = [pgccd.Contacts.from_state_dict(hits.state_dict(), scene)]
+    without: list[Any] = [pgccd.Contacts.from_state_dict(hits.state_dict())]
     without.append(pgccd.detect(scene, motion, capacity=Capacity.of(4, 100)).trim())
     for contacts in without:
         assert torch.equal(pgccd.approach_rates(scene, motion, contacts), rates)
@@ -389,7 +389,7 @@ def test_refusals() -> None:
         for padded in (
             in_capacity,
             pgccd.CapturedDetection(scene, motion).replay(),
-            pgccd.detect(scene, motion, "any"),
+            pgccd.collide(scene, motion),
         ):
             with pytest.raises(TypeError, match="^hits: expected pgccd.Contacts, got "):
                 ask(scene, motion, padded)
@@ -417,10 +417,12 @@ def test_refusals() -> None:
             ask(scene, motion, of_rank)
     with pytest.raises(TypeError, match="normals"):
         pgccd.distributed.World.create([CUBE], (-9,) * 3, (9,) * 3, motion.position_t0, normals="surface")  # type: ignore
-    with pytest.raises(AttributeError, match='report: "any" gives pairs without contacts, and no `approach`'):
-        _ = pgccd.detect(scene, motion, "any").approach  # type: ignore[attr-defined]
-    for name, function in (("approach", "approach_rates"), ("approaching", "approaching")):
-        with pytest.raises(AttributeError, match=rf"Contacts has no '{name}' any more: call pgccd.{function}\("):
+    for name, instead in (
+        ("approach", r"call pgccd.approach_rates\("),
+        ("approaching", r"call pgccd.approaching\("),
+        ("scene", "results keep `body_count` and `world` alone"),
+    ):
+        with pytest.raises(AttributeError, match=rf"Contacts has no '{name}' any more: {instead}"):
             getattr(hits, name)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 from support.gradients import meshes
+from support.reports import detected
 from support.same_bits import assert_same
 from torch import Tensor
 
@@ -50,10 +51,10 @@ def saved(state: Any, path: Path) -> Any:
 @pytest.mark.parametrize("report", ["any", "first", "all", "earliest"])
 def test_states_are_the_same_bits(report: Any, tmp_path: Path, device: torch.device) -> None:
     scene, motion = scattered(24, device)
-    hits = pgccd.detect(scene, motion, report)
+    hits = detected(scene, motion, report)
     assert len(hits) > 0
     kind = type(hits)
-    again = kind.from_state_dict(saved(hits.state_dict(), tmp_path / "hits"), scene)
+    again = kind.from_state_dict(saved(hits.state_dict(), tmp_path / "hits"))
     assert again == hits and again.stats.pcs == hits.stats.pcs
     assert torch.equal(again.may_collide("body"), hits.may_collide("body"))
     if isinstance(hits, pgccd.Contacts):
@@ -61,7 +62,7 @@ def test_states_are_the_same_bits(report: Any, tmp_path: Path, device: torch.dev
         assert torch.equal(again.first_toi("world"), hits.first_toi("world"))
     there = pgccd.Scene.from_state_dict(saved(scene.state_dict(), tmp_path / "scene"), device)
     path = pgccd.RigidMotion.from_state_dict(saved(motion.state_dict(), tmp_path / "motion"))
-    assert_same(pgccd.detect(there, path, report), hits)
+    assert_same(detected(there, path, report), hits)
 
 
 def test_states_of_other_motions(tmp_path: Path, device: torch.device) -> None:
@@ -79,7 +80,7 @@ def test_states_of_other_motions(tmp_path: Path, device: torch.device) -> None:
     steps = torch.stack([motion.position_t0, motion.position_t1])
     turns = motion.orientation_t0.expand(2, -1, -1)
     hits = pgccd.detect(scene, pgccd.Trajectory(steps, turns), "all")
-    loaded = pgccd.TrajectoryContacts.from_state_dict(saved(hits.state_dict(), tmp_path / "hits"), scene)
+    loaded = pgccd.TrajectoryContacts.from_state_dict(saved(hits.state_dict(), tmp_path / "hits"))
     assert loaded == hits and torch.equal(loaded.first_toi("body"), hits.first_toi("body"))
 
 
@@ -160,8 +161,19 @@ def test_wrong_states_are_named() -> None:
         ("toi", hits.toi * torch.nan, "row 0: expected numbers from 0.0 to 1.0, got nan"),
     ]:
         with pytest.raises(ValueError, match=f"^{name}: {problem}"):
-            pgccd.Contacts.from_state_dict(hits.state_dict() | {name: values}, scene)
-    assert pgccd.Contacts.from_state_dict(hits.state_dict() | {"pairs": hits.pairs + 8}).pairs.max() >= 8
+            pgccd.Contacts.from_state_dict(hits.state_dict() | {name: values})
+    of_ranks = hits.state_dict() | {"pairs": hits.pairs + 8, "body_count": None, "world": None}
+    assert pgccd.Contacts.from_state_dict(of_ranks).pairs.max() >= 8
+    for name, value, problem in [
+        ("body_count", 7, "world: expected shape"),
+        ("body_count", -1, "body_count: expected a number of bodies >= 0, got -1"),
+        ("body_count", None, "world: expected None where there is no body_count"),
+        ("world", torch.zeros(3, dtype=torch.int32), r"world: expected shape \(8,\)"),
+        ("world", torch.zeros(8), "world: expected torch.int32"),
+        ("world", torch.full((8,), -1, dtype=torch.int32), "world: body 0: expected an id"),
+    ]:
+        with pytest.raises((TypeError, ValueError), match=f"^{problem}"):
+            pgccd.Contacts.from_state_dict(hits.state_dict() | {name: value})
     with pytest.raises(TypeError, match="^static: expected bool"):
         pgccd.Scene.from_state_dict(state | {"static": [0, 1] * 4})
     mesh = state["meshes"][0]

@@ -395,7 +395,7 @@ def test_where_no_gradient_is_computed_it_is_refused() -> None:
                 call(wide, plain)
     with pytest.raises(ValueError, match="^(capacity|margin): .*requires grad"):
         pgccd.CapturedDetection(wide, plain).replay()
-    assert len(pgccd.detect(wide, wanting_motion, "any")) == 1  # pairs have no derivatives
+    assert len(pgccd.collide(wide, wanting_motion)) == 1  # pairs have no derivatives
     with pytest.raises(ValueError, match="^vertices: requires grad"):
         pgccd.Mesh(wanting(meshes()[0].vertices), meshes()[0].faces)
     with pytest.raises(ValueError, match="^tolerance: requires grad"):

@@ -10,11 +10,12 @@ from typing import Any, get_args
 import numpy as np
 import pytest
 import torch
+from support.reports import detected
 from support.shapes import Bodies, approaching, tensors, tetrahedron
 
 import pgccd
 from pgccd import distributed
-from pgccd.search.sizes import Capacity
+from pgccd.runtime.sizes import Capacity
 
 
 def bodies() -> Bodies:
@@ -24,12 +25,12 @@ def bodies() -> Bodies:
 def along_a_trajectory(device: torch.device | str = "cpu", report: Any = "all") -> pgccd.TrajectoryContacts:
     b = bodies()
     x, q = tensors(np.stack([b.position_t0, b.position_t1, b.position_t0]), np.stack([b.orientation_t0] * 3))
-    return pgccd.detect(b.scene(device), pgccd.Trajectory(x.to(device), q.to(device)), report)
+    return detected(b.scene(device), pgccd.Trajectory(x.to(device), q.to(device)), report)
 
 
 def of_one_step(device: torch.device | str = "cpu", report: Any = "all") -> pgccd.Contacts:
     b = bodies()
-    return pgccd.detect(b.scene(device), b.motion(device=device), report)
+    return detected(b.scene(device), b.motion(device=device), report)
 
 
 @pytest.mark.parametrize("report", ["all", "any"])
@@ -49,7 +50,7 @@ def test_contacts_are_compared_bit_by_bit(
         hash(hits)
 
 
-@pytest.mark.parametrize("report", get_args(pgccd.narrow.ContactReport))
+@pytest.mark.parametrize("report", get_args(pgccd.Report))
 @pytest.mark.parametrize("make", [of_one_step, along_a_trajectory])
 def test_no_report_has_a_late_toi(make: Callable[..., pgccd.Contacts], report: str, device: torch.device) -> None:
     """Whichever contacts a report keeps: they are contacts of "all", and `first_toi` is not that of later ones."""
@@ -198,8 +199,6 @@ def test_starts_need_all_first_contacts() -> None:
     for hits in (*earliest, earliest[0][[0]], first.earliest(), padded, padded.trim()):
         with pytest.raises(ValueError, match='^report: "earliest" leaves out'):
             _ = hits.starts_intersecting
-    with pytest.raises(AttributeError, match='^report: "any" .* `starts_intersecting`'):
-        _ = pgccd.detect(scene, motion, "any").starts_intersecting
 
 
 @pytest.mark.parametrize("given", ["constructor", "velocity", "rest", "trajectory"])

@@ -26,7 +26,7 @@ STONE = pgccd.Mesh.box([0.6, 0.6, 0.2])
 BOX = (0.0,) * 3, (8.0,) * 3
 
 
-def made(comm: Comm) -> World[Any]:
+def made(comm: Comm) -> World:
     place = torch.cartesian_prod(*[torch.arange(3.0, dtype=torch.float64)] * 3)[comm.rank :: comm.size]
     id = torch.arange(27)[comm.rank :: comm.size]
     return World.create([STONE], *BOX, 1.0 + 2.0 * place, id=id, payload={"heat": place[:, 0]}, comm=comm)
@@ -41,14 +41,15 @@ def stay(bodies: Any, motion: Any, toi: Any) -> dict[str, Any]:
     return {"position": bodies.position}
 
 
-def captured(world: World[Any], folder: str) -> Any:
+def captured(world: World, folder: str) -> Any:
     return CapturedWorld(world, motion_of, stay).run(2)
 
 
 NONE = torch.zeros(0, 3, dtype=torch.float64)
 #: By the name in messages.
-CALLS: dict[str, Callable[[World[Any], str], Any]] = {
+CALLS: dict[str, Callable[[World, str], Any]] = {
     "World.step": lambda world, folder: world.step(motion_of(world)),
+    "World.collide": lambda world, folder: world.collide(motion_of(world)),
     "World.move": lambda world, folder: world.move(world.position),
     "World.add": lambda world, folder: world.add(NONE, payload={"heat": NONE[:, 0]}),
     "World.remove": lambda world, folder: world.remove(torch.zeros(0, dtype=torch.int64)),

@@ -21,7 +21,7 @@ from pgccd.distributed import Bodies, CapturedWorld, Comm
 from pgccd.distributed.comm.interface import Alone
 from pgccd.distributed.detection.share import search_share
 from pgccd.distributed.world import graphs as captured_world
-from pgccd.search.sizes import COUNT_ROWS, overflow_flags
+from pgccd.runtime.sizes import COUNT_ROWS, overflow_flags
 
 STEPS, LOST = 12, 6
 

@@ -12,6 +12,7 @@ import pytest
 import torch
 from support.crowds import crowds
 from support.ranks import to_all
+from support.reports import of_contacts, stepped
 from support.same_bits import assert_same, contacts_hash
 
 import pgccd
@@ -47,7 +48,7 @@ def share(
         mesh_index=crowd.mesh_index[mine].to(device),
         payload={name: column[mine].to(device) for name, column in columns.items()},
         comm=comm,
-        report=report,
+        report=of_contacts(report),
         min_separation=crowd.min_separation,
         axes=3 if comm.neighbours_above else 1,  # slabs, which are not all neighbours
         cells=4,
@@ -82,7 +83,7 @@ def find(
             motion = pgccd.RigidMotion.from_velocity(
                 world.position, mine["orientation"], mine["velocity"], mine["rotation"], dt=1.0
             )
-            hits = world.step(motion)
+            hits = stepped(world, motion, report)
             expected_pairs = ids[whole.pairs]
             affected = torch.isin(expected_pairs, world.id.cpu()).any(dim=1)
             if report == "earliest":

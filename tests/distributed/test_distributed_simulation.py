@@ -23,7 +23,7 @@ from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.distributed.steps import replayed as rank_steps
 from pgccd.resolution.round_plan import RoundPlan
 from pgccd.runtime import transaction
-from pgccd.search.sizes import BufferSizes, Capacity
+from pgccd.runtime.sizes import BufferSizes, Capacity
 from pgccd.sim import Simulation, Step, starting_share
 from pgccd.sim.gathering import gather_sample
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from support.reports import detected, of_contacts, stepped
 from support.same_bits import Result, columns_of, difference
 from support.shapes import bumpy
 
@@ -82,7 +83,7 @@ IDS = 5 * torch.arange(COUNT) + 2
 
 @functools.cache
 def alone(report: str, step: int) -> pgccd.Contacts:
-    return pgccd.detect(scene(), pgccd.VertexMotion(frames()[step], frames()[step + 1]), report, 0.01)
+    return detected(scene(), pgccd.VertexMotion(frames()[step], frames()[step + 1]), report, 0.01)
 
 
 def spread(
@@ -102,7 +103,7 @@ def spread(
         payload={"tag": 3 * mine.to(device)},
         vertex_payload={name: column.to(device) for name, column in all_vertices.take(mine).columns.items()},
         comm=comm,
-        report=report,
+        report=of_contacts(report),
         min_separation=0.01,
         partition=partition,
         cells=4,
@@ -160,7 +161,7 @@ def deform(
             assert torch.equal(before.cpu(), vertices_of(rows, step))  # migrated with their bodies
             assert torch.equal(world.payload["tag"].cpu(), 3 * rows)
             after = vertices_of(rows, step + 1).to(device)
-            found = world.step(pgccd.VertexMotion(before, after))
+            found = stepped(world, pgccd.VertexMotion(before, after), report)
             whole = alone(report, step)
             require_equal(world, found, whole, report)
             assert world.found is not None
@@ -205,7 +206,7 @@ def turning(rows: torch.Tensor) -> pgccd.Trajectory:
 @functools.cache
 def followed(report: Any, deforms: bool) -> TrajectoryContacts | pgccd.CollidingPairs:
     trajectory = pgccd.Trajectory(frames()) if deforms else turning(torch.arange(COUNT))
-    return pgccd.detect(scene(), trajectory, report, 0.01)
+    return detected(scene(), trajectory, report, 0.01)
 
 
 def follow(comm: Comm, report: str, deforms: bool, device: torch.device = torch.device("cpu")) -> int:  # noqa: B008
@@ -222,7 +223,7 @@ def follow(comm: Comm, report: str, deforms: bool, device: torch.device = torch.
             columns = (waypoints.position, waypoints.orientation, waypoints.margin)
             x, q, margin = (column.to(device) for column in columns)
             trajectory = pgccd.Trajectory(x, q, margin=margin)
-        found = world.step(trajectory)
+        found = stepped(world, trajectory, report)
         assert type(found) is (pgccd.CollidingPairs if report == "any" else TrajectoryContacts)
         require_equal(world, found, whole, report)
         if report == "first" and isinstance(whole, TrajectoryContacts):

@@ -136,7 +136,7 @@ def walk(comm: Comm, device: str, captured: bool) -> list[Any]:
         id=mine.to(device),
         payload={name: column[mine].to(device) for name, column in columns.items()},
         comm=comm,
-        report="first" if captured else "any",  # a resolution does not depend on it
+        report="first" if captured else "all",  # a resolution does not depend on it
         balance=BalanceOptions("cost", start=0.0, goal=0.0, moving=0.0, deciding=0.0),
     )
     stopped = []

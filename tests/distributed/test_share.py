@@ -15,9 +15,9 @@ from support.steps import step_of
 from distributed.conftest import World
 from pgccd import sim
 from pgccd.distributed import Cells, Comm
+from pgccd.runtime.sizes import EXACTLY, Capacity
 from pgccd.search import passes as passes_module
 from pgccd.search.passes import SearchPass
-from pgccd.search.sizes import EXACTLY, Capacity
 from pgccd.sim import Simulation, starting_share
 
 CONFIG = sim.ModelConfig(robots=150, speed=0.3, spin=0.5, seed=3)

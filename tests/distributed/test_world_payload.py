@@ -10,6 +10,7 @@ import pytest
 import torch
 from support.crowds import crowds
 from support.ranks import RankPool
+from support.reports import of_contacts, stepped
 from torch import Tensor
 
 import pgccd
@@ -47,7 +48,7 @@ def spread(comm: Comm, name: str, report: str = "first") -> World:
         mesh_index=crowd.mesh_index[mine],
         payload=take_rows(columns_of(name), mine),
         comm=comm,
-        report=report,
+        report=of_contacts(report),
         min_separation=crowd.min_separation,
         nonzero_toi=True,
         **{column: values[mine] for column, values in crowd.filters.items()},
@@ -71,8 +72,8 @@ def ask(comm: Comm, name: str) -> tuple[int, int]:
             with mock.patch(
                 "pgccd.distributed.steps.rank.sends_ahead", lambda comm, *_, on=ahead: on and comm.size > 1
             ):
-                hits = world.step(moving(world), payload=ASKED)
-            plain = world.step(moving(world))
+                hits = stepped(world, moving(world), report, payload=ASKED)
+            plain = stepped(world, moving(world), report)
             assert plain.payload == {}
             assert all(torch.equal(column, plain.columns[key]) for key, column in hits.columns.items())
             assert set(hits.payload) == set(ASKED)
@@ -100,7 +101,7 @@ def ask_deforming(comm: Comm, report: str) -> int:
     waves, frames_of_all = pgccd.VertexMotion(frames[0], frames[1]), pgccd.Trajectory(torch.stack(frames))
     found = 0
     for motion in (waves, frames_of_all, test_motions.turning(rows)):
-        hits = world.step(motion, payload=["tag"])
+        hits = stepped(world, motion, report, payload=["tag"])
         assert torch.equal(hits.payload["tag"], 3 * torch.searchsorted(test_motions.IDS, hits.pairs))
         found += len(hits)
     return found

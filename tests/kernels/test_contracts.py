@@ -13,7 +13,9 @@ from support.shapes import approaching
 import pgccd
 from pgccd import broad, narrow, sim
 from pgccd.motion.validation import CHECK_NUMBERS, LARGEST_COORDINATE, LARGEST_TURN, UNIT_TOLERANCE
-from pgccd.search.sizes import COUNTS_OF_PAIRS, Counts
+from pgccd.runtime.sizes import COUNTS_OF_PAIRS, Counts
+from pgccd.search.detect import detect_moving
+from pgccd.search.query import Query
 from pgccd.sim import model
 
 CSRC = Path(__file__).resolve().parents[2] / "csrc"
@@ -92,7 +94,7 @@ def test_a_report_without_an_enumerator_is_refused(monkeypatch: pytest.MonkeyPat
     scene, motion = given.scene(), given.motion()
     count = len(narrow.REPORTS) - 1
     with pytest.raises(RuntimeError, match=f"report: expected a number below {count}, got {count}"):
-        pgccd.detect(scene, motion, "unknown")  # type: ignore[arg-type]
+        detect_moving(pgccd.MovingBodies.of(scene, motion), Query("unknown", 0.0, None, False))  # type: ignore[arg-type]
 
 
 def test_columns_of_counts() -> None:

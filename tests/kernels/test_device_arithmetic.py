@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import torch
 from support.deforming import crumpled, motion_of
+from support.reports import detected
 from support.rollouts import tumbling
 from support.shapes import approaching
 from support.steps import step_of
@@ -81,7 +82,7 @@ def deforming() -> tuple[pgccd.Scene, pgccd.VertexMotion]:
 def every_report(case: Callable[[], tuple[pgccd.Scene, Any]]) -> None:
     scene, motion = case()
     for report in pgccd.narrow.REPORTS:
-        hits = pgccd.detect(scene, motion, report, 0.02, nonzero_toi=True)
+        hits = detected(scene, motion, report, 0.02, nonzero_toi=True)
         if report != "any":
             for by in ("scene", "world", "body"):
                 hits.first_toi(by)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from support.reports import detected
 from support.shapes import approaching, tensors, unit_quaternions
 
 import pgccd
@@ -121,9 +122,9 @@ def recorded(device: torch.device) -> list[Call]:
             for options in ({}, filters):
                 scene = pgccd.Scene(bodies.meshes, device=device, **options)
                 for report in ("any", "first", "all", "earliest"):
-                    pgccd.detect(scene, bodies.motion(device=device), report, 0.01)  # type: ignore[arg-type]
+                    detected(scene, bodies.motion(device=device), report, 0.01)
                 for broad_phase in ("grid", "lbvh"):  # with few bodies the default is the sweep
-                    pgccd.detect(scene, bodies.motion(device=device), "any", broad_phase=broad_phase)
+                    pgccd.collide(scene, bodies.motion(device=device), broad_phase=broad_phase)
             pgccd.detect(scene, bodies.motion("linear", device))
             capacity = pgccd.Capacity.of(scene.body_count)
             pgccd.detect(scene, bodies.motion(device=device), "all", capacity=capacity)
@@ -145,7 +146,7 @@ def recorded(device: torch.device) -> list[Call]:
             first = torch.full((scene.body_count,), torch.inf, dtype=torch.float64, device=device)
             asked = moving.mesh_set, moving.tensors, False, pairs, counts_of_given(pairs)
             for report in ("any", "all"):
-                pgccd.detect(scene, bodies.motion(device=device), report, pairs=pairs)  # type: ignore[arg-type]
+                detected(scene, bodies.motion(device=device), report, pairs=pairs)
             for motion in (bodies.motion(device=device), moved):
                 pgccd.distance(scene, motion, pairs=pairs)
             lower_first_toi(first, pairs, *asked, FIRST_CONTACTS, capacity)

@@ -11,6 +11,7 @@ import torch
 from strategies import contacts
 from support.candidates import assert_touching, missed
 from support.origins import STILL, about_z, all_contacts, moved_to, product, recentred, turn_of
+from support.reports import detected
 from support.shapes import Bodies, directions, tensors, tetrahedron, turned, unit_quaternions
 
 import pgccd
@@ -170,7 +171,7 @@ def test_nothing_is_missed_however_far_origins_are(reach: float, along: bool, de
     scene = pgccd.Scene(meshes, device=device, world=world)
     motion = pgccd.RigidMotion.from_rotation(x, q, x, w)
     for report in ("any", "first"):
-        hits = pgccd.detect(scene, motion, report, separation, tolerance=0.0)  # type: ignore[call-overload]
+        hits = detected(scene, motion, report, separation, tolerance=0.0)
         assert hits.pairs[:, 0].tolist() == list(range(0, 2 * count, 2)), "missed"
     assert (hits.toi == 0.0).all()
 

@@ -118,8 +118,6 @@ def test_first_times(worlds: bool, far: bool, device: torch.device) -> None:
 
 def test_first_times_that_are_not_known(device: torch.device) -> None:
     scene, motion = heap(device)
-    with pytest.raises(AttributeError, match='^report: "any" .* `first_toi`'):
-        pgccd.detect(scene, motion, "any").first_toi()
     with pytest.raises(ValueError, match="^by: .*'rank'"):
         pgccd.detect(scene, motion).first_toi("rank")  # type: ignore[arg-type]
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from support.origins import recentred
+from support.reports import detected
 from support.shapes import bumpy, tensors, tetrahedron, unit_quaternions
 
 import pgccd
@@ -86,7 +87,7 @@ def test_one_call_finds_what_single_calls_find(
     for row, pair in enumerate(sorted(first)):
         got = (int(found.segment[row]), *(getattr(found, name)[row].tolist() for name in COLUMNS))
         assert got == first[pair]
-    colliding = pgccd.detect(scene, trajectory, "any", **options)  # type: ignore[call-overload]
+    colliding = pgccd.collide(scene, trajectory, **options)  # type: ignore[arg-type]
     assert torch.equal(colliding.pairs, found.pairs) and type(colliding) is pgccd.CollidingPairs
 
     # The earliest of all pairs.
@@ -143,7 +144,7 @@ def test_nothing_to_find(device: torch.device) -> None:
         scene = pgccd.Scene([tetrahedron()], torch.zeros(count, dtype=torch.int32), device)
         trajectory = pgccd.Trajectory(x[:, :count], q[:, :count])
         for report in ("any", "first", "all", "earliest"):
-            hits = pgccd.detect(scene, trajectory, report)  # type: ignore[call-overload]
+            hits = detected(scene, trajectory, report)
             assert len(hits) == 0
             if report != "any":
                 assert hits.time.shape == (0,) and float(hits.first_toi()) == float("inf")

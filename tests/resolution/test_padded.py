@@ -10,7 +10,7 @@ from support.random_scenes import random_scene
 
 import pgccd
 from pgccd.runtime.graph import capture
-from pgccd.search.sizes import BufferSizes
+from pgccd.runtime.sizes import BufferSizes
 
 from .test_random_scenes import boxes, options_of, scenes
 from .test_resolve import on_a_line

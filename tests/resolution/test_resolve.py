@@ -17,7 +17,7 @@ from torch import Tensor
 import pgccd
 from pgccd.resolution.listed import ListedSearch
 from pgccd.resolution.search import ShortenedSearch
-from pgccd.search.sizes import COUNT_ROWS
+from pgccd.runtime.sizes import COUNT_ROWS
 
 resolve_module = sys.modules["pgccd.resolution.resolve"]
 
@@ -202,7 +202,7 @@ def test_a_loop_goes_on_and_nothing_ever_touches(device: torch.device) -> None:
         resolved = pgccd.resolve(scene, motion)
         assert lists(resolved) == ([], [])
         x, q = resolved.motion.at(1.0)
-        assert len(pgccd.detect(scene, pgccd.RigidMotion.at_rest(x, q), "any", nonzero_toi=True)) == 0
+        assert len(pgccd.detect(scene, pgccd.RigidMotion.at_rest(x, q), nonzero_toi=True)) == 0
         turns = (resolved.fraction < 1.0)[:, None]
         v, w = torch.where(turns, -v, v), torch.where(turns, -w, w)
         stopped += int(turns.sum())

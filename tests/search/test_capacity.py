@@ -10,15 +10,16 @@ import pytest
 import torch
 from support.capacities import DEVICES_AND_PARTS
 from support.crowds import crowds
+from support.reports import detected
 from support.same_bits import assert_same
 from support.shapes import approaching, bumpy
 
 import pgccd
+from pgccd.runtime.sizes import BufferSizes, Capacity, Counts
 from pgccd.search.detect import _detect_in_capacity as detect_at_once
 from pgccd.search.memory import CapacityEstimate
 from pgccd.search.padded import counts_of_given, lower_first_toi
 from pgccd.search.query import Query
-from pgccd.search.sizes import BufferSizes, Capacity, Counts
 
 REPORTS = ("any", "first", "all", "earliest")
 
@@ -42,7 +43,7 @@ def shells(device: torch.device) -> tuple[pgccd.Scene, pgccd.RigidMotion]:
 
 
 def capacity_for(scene: pgccd.Scene, motion: Any, *arguments: Any, **options: Any) -> tuple[pgccd.Contacts, Capacity]:
-    found = pgccd.detect(scene, motion, *arguments, **options)
+    found = detected(scene, motion, *arguments, **options)
     assert found.stats.needed is not None
     return found, found.stats.needed.times(1.5)
 
@@ -53,7 +54,7 @@ def test_same_contacts_in_a_fixed_capacity(device: torch.device, report: Any) ->
     for broad_phase in ("sweep", "grid", "lbvh"):
         expected, capacity = capacity_for(scene, motion, report, 0.01, broad_phase=broad_phase)
         assert len(expected) > 0
-        hits = pgccd.detect(scene, motion, report, 0.01, broad_phase=broad_phase, capacity=capacity)
+        hits = detected(scene, motion, report, 0.01, broad_phase=broad_phase, capacity=capacity)
         assert int(hits.count) == len(expected) and not bool(hits.overflow)
         trimmed = hits.trim()
         assert_same(trimmed, expected)
@@ -184,7 +185,7 @@ def test_capture_in_a_graph(report: Any, broad_phase: Any) -> None:
 
     def step() -> pgccd.PaddedContacts:
         moved = pgccd.RigidMotion.from_rotation(*columns)
-        return pgccd.detect(scene, moved, report, broad_phase=broad_phase, capacity=capacity)
+        return detected(scene, moved, report, broad_phase=broad_phase, capacity=capacity)
 
     stream = torch.cuda.Stream()
     stream.wait_stream(torch.cuda.current_stream())
@@ -199,7 +200,7 @@ def test_capture_in_a_graph(report: Any, broad_phase: Any) -> None:
         columns[2].copy_(motion.position_t1 + shift * motion.position_t1.sin())
         graph.replay()
         moved = pgccd.RigidMotion.from_rotation(*(column.clone() for column in columns))
-        expected = pgccd.detect(scene, moved, report, broad_phase=broad_phase)
+        expected = detected(scene, moved, report, broad_phase=broad_phase)
         assert_same(hits.trim(), expected)
         contacts.add(len(expected))
     assert max(contacts) > 0
@@ -209,8 +210,8 @@ def test_capture_in_a_graph(report: Any, broad_phase: Any) -> None:
 def test_one_wait_a_step() -> None:
     scene, motion = crowd(torch.device("cuda"))
     for report in REPORTS:
-        pgccd.detect(scene, motion, report)
-        assert pgccd.detect(scene, motion, report).stats.waits == 1
+        detected(scene, motion, report)
+        assert detected(scene, motion, report).stats.waits == 1
     # In a fixed capacity there is no wait, and no copy to the host.
     capacity = Capacity.of(scene.body_count)
     torch.cuda.set_sync_debug_mode("error")
@@ -223,7 +224,7 @@ def test_one_wait_a_step() -> None:
 @pytest.mark.parametrize("report", REPORTS)
 def test_capacity_grows_until_a_step_fits(device: torch.device, report: Any) -> None:
     scene, motion = crowd(device)
-    expected = pgccd.detect(scene, motion, report, broad_phase="grid")
+    expected = detected(scene, motion, report, broad_phase="grid")
     query = Query(report, 0.0, None, False)
     for names in (("pairs", "contacts"), tuple(field.name for field in fields(BufferSizes) if field.type == "int")):
         assert expected.stats.needed is not None
@@ -240,7 +241,7 @@ def test_capacity_grows_until_a_step_fits(device: torch.device, report: Any) -> 
     again = detect_at_once(bodies, query, "grid", None, None)
     assert again is not None and again.stats.waits == 1
     assert detect_at_once(bodies, query, "grid", None, 1000) is None
-    assert_same(pgccd.detect(scene, motion, report, broad_phase="grid", memory_budget=1000), expected)
+    assert_same(detected(scene, motion, report, broad_phase="grid", memory_budget=1000), expected)
 
 
 def test_first_toi_alone(device: torch.device) -> None:

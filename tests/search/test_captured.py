@@ -8,11 +8,12 @@ import pytest
 import torch
 from support.capacities import ON_GPU
 from support.crowds import crowds
+from support.reports import captured_loop, detected, trimmed
 from support.same_bits import assert_same
 
 import pgccd
 from pgccd.runtime.graph import capture
-from pgccd.search.sizes import BufferSizes
+from pgccd.runtime.sizes import BufferSizes
 
 REPORTS = ["any", "first", "all", "earliest"]
 
@@ -37,15 +38,15 @@ def crowd(device: torch.device) -> tuple[pgccd.Scene, list[pgccd.RigidMotion]]:
 @pytest.mark.parametrize("report", REPORTS)
 def test_same_contacts(device: torch.device, report: Any) -> None:
     scene, motions = crowd(device)
-    captured = pgccd.CapturedDetection(scene, motions[0], report, 0.01, nonzero_toi=True)
+    captured = captured_loop(scene, motions[0], report, 0.01, nonzero_toi=True)
     assert captured.is_graph == (device.type == "cuda")
     kept = []
     for motion in [*motions, motions[0]]:
-        expected = pgccd.detect(scene, motion, report, 0.01, nonzero_toi=True)
+        expected = detected(scene, motion, report, 0.01, nonzero_toi=True)
         hits = captured(motion)
         assert len(expected) > 0 and not bool(hits.overflow)
         assert_same(hits.trim(), expected)
-        kept.append((captured.contacts(), expected))
+        kept.append((trimmed(captured), expected))
     for found, expected in kept:  # in their own memory
         assert_same(found, expected)
 
@@ -65,7 +66,7 @@ def test_deforming_bodies(device: torch.device) -> None:
         expected = pgccd.detect(scene, deforming(motion))
         assert len(expected) > 0
         captured(deforming(motion))
-        assert_same(captured.contacts(), expected)
+        assert_same(trimmed(captured), expected)
 
 
 def test_capacity_grows(device: torch.device) -> None:
@@ -76,7 +77,7 @@ def test_capacity_grows(device: torch.device) -> None:
     assert bool(hits.overflow)
     with pytest.raises(pgccd.CapacityError):
         hits.trim()
-    assert_same(captured.contacts(), expected)
+    assert_same(trimmed(captured), expected)
     assert captured.capacity.contacts >= len(expected) and not bool(captured.replay().overflow)
 
 
@@ -85,7 +86,7 @@ def test_a_motion_that_kernels_write_to(device: torch.device) -> None:
     captured = pgccd.CapturedDetection(scene, motions[1])
     captured.motion.position_t1.copy_(motions[0].position_t1)
     captured.replay()
-    assert_same(captured.contacts(), pgccd.detect(scene, motions[0]))
+    assert_same(trimmed(captured), pgccd.detect(scene, motions[0]))
     captured.motion.position_t0[5, 0] = torch.nan
     if device.type == "cpu":
         with pytest.raises(ValueError, match="position_t0: body 5"):
@@ -93,7 +94,7 @@ def test_a_motion_that_kernels_write_to(device: torch.device) -> None:
     else:
         assert bool(captured.replay().overflow)
         with pytest.raises(ValueError, match="position_t0: body 5"):
-            captured.contacts()
+            trimmed(captured)
 
 
 def test_bad_arguments(device: torch.device) -> None:

@@ -11,11 +11,12 @@ import pytest
 import torch
 from support.capacities import DEVICES_AND_PARTS
 from support.deforming import crumpled, motion_of
+from support.reports import captured_loop, detected, trimmed
 from support.shapes import bumpy, tensors, unit_quaternions
 
 import pgccd
+from pgccd.runtime.sizes import BufferSizes, Capacity
 from pgccd.search import captured as captured_module
-from pgccd.search.sizes import BufferSizes, Capacity
 
 REPORTS = ("any", "first", "all", "earliest")
 NAN = float("nan")
@@ -34,7 +35,7 @@ def lattice(device: torch.device) -> pgccd.Scene:
 
 
 def needs(scene: pgccd.Scene, motion: pgccd.RigidMotion, report: Any) -> Capacity:
-    needed = pgccd.detect(scene, motion, report).stats.needed
+    needed = detected(scene, motion, report).stats.needed
     assert needed is not None
     return needed
 
@@ -43,7 +44,7 @@ def needs(scene: pgccd.Scene, motion: pgccd.RigidMotion, report: Any) -> Capacit
 @pytest.mark.parametrize(("device", "part"), DEVICES_AND_PARTS, indirect=["device"])
 def test_capacity_grows_two_calls_later(device: torch.device, part: str, report: Any) -> None:
     scene, sparse, dense = lattice(device), at_spacing(3.0, device), at_spacing(1.9, device)
-    expected, needed = pgccd.detect(scene, dense, report), needs(scene, dense, report)
+    expected, needed = detected(scene, dense, report), needs(scene, dense, report)
     if getattr(needed, part) == 0:
         pytest.skip("not needed by such bodies")
     if report == "earliest" and part != "pairs" and device.type == "cuda":
@@ -52,7 +53,7 @@ def test_capacity_grows_two_calls_later(device: torch.device, part: str, report:
     if part == "open":  # of few candidates all are left open if they fit, else those that need it
         less = 1
     tight = replace(needed.times(1.5), **{part: less})
-    captured = pgccd.CapturedDetection(scene, sparse, report, capacity=tight)
+    captured = captured_loop(scene, sparse, report, capacity=tight)
     for _ in range(2):
         assert not bool(captured(sparse).overflow)
     for _ in range(2):
@@ -72,14 +73,14 @@ def test_capacity_grows_two_calls_later(device: torch.device, part: str, report:
 def test_a_loop_never_stands_still(device: torch.device, report: Any) -> None:
     """From capacities of zero, one stage after the other overflows."""
     scene, motion = lattice(device), at_spacing(1.9, device)
-    captured = pgccd.CapturedDetection(scene, motion, report, capacity=BufferSizes(0, 0))
+    captured = captured_loop(scene, motion, report, capacity=BufferSizes(0, 0))
     overflows = [bool(captured(motion).overflow) for _ in range(30)]
     assert overflows[0] and overflows[1] and not overflows[-1]
     assert overflows == sorted(overflows, reverse=True)
     if report in ("any", "all"):  # on a GPU the needs of the others depend on the order of threads
-        again = pgccd.CapturedDetection(scene, motion, report, capacity=BufferSizes(0, 0))
+        again = captured_loop(scene, motion, report, capacity=BufferSizes(0, 0))
         assert [bool(again(motion).overflow) for _ in range(30)] == overflows
-    assert torch.equal(captured.contacts().pairs, pgccd.detect(scene, motion, report).pairs)
+    assert torch.equal(trimmed(captured).pairs, detected(scene, motion, report).pairs)
 
 
 def test_a_step_that_needs_more_than_the_largest_capacity(device: torch.device) -> None:
@@ -94,7 +95,7 @@ def test_a_step_that_needs_more_than_the_largest_capacity(device: torch.device) 
                 captured(motion)
         assert bool(captured(motion).overflow)  # the call before the last has no record
         with pytest.raises(pgccd.CapacityError):
-            captured.contacts()
+            trimmed(captured)
 
 
 def corrupt(motion: Any, column: str, row: int) -> torch.Tensor:
@@ -130,7 +131,7 @@ def test_an_invalid_pose_raises_two_calls_later(device: torch.device, column: st
         # The third wrong call would be the one that raises for the first: it detects nothing.
         second = "raised" if wrong_calls > 1 else "valid"
         assert outcomes == ["invalid" if wrong_calls > 1 else "valid", "raised", second, *["valid"] * 3]
-        assert torch.equal(captured.contacts().toi, expected.toi)
+        assert torch.equal(trimmed(captured).toi, expected.toi)
 
 
 def test_an_invalid_end_orientation(device: torch.device) -> None:
@@ -163,7 +164,7 @@ def test_a_call_that_raises_loads_nothing(device: torch.device) -> None:
     with pytest.raises(ValueError, match="^position_t0: body 3"):
         captured(other)
     assert torch.equal(captured.motion.columns()["position_t0"], motion.position_t0)
-    assert len(captured.contacts()) > 0 and not bool(captured(other).overflow)
+    assert len(trimmed(captured)) > 0 and not bool(captured(other).overflow)
 
 
 def test_contacts_read_the_record_of_the_last_call_only(device: torch.device) -> None:
@@ -174,15 +175,15 @@ def test_contacts_read_the_record_of_the_last_call_only(device: torch.device) ->
     captured.replay()
     for _ in range(2):
         with pytest.raises(ValueError, match="^position_t0: body 5: expected [^(]*$"):
-            captured.contacts()
+            trimmed(captured)
     captured.motion.columns()["position_t0"].copy_(former)
     for _ in range(3):  # that call was read
-        assert not bool(captured.replay().overflow) and len(captured.contacts())
+        assert not bool(captured.replay().overflow) and len(trimmed(captured))
     corrupt(captured.motion, "position_t0", 5)
     captured.replay()
     captured.motion.columns()["position_t0"].copy_(former)
     captured.replay()
-    assert len(captured.contacts()) and len(captured.contacts())
+    assert len(trimmed(captured)) and len(trimmed(captured))
     with pytest.raises(ValueError, match="^position_t0: body 5"):  # that call was not
         captured.replay()
 

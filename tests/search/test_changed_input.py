@@ -11,7 +11,7 @@ import torch
 from support.shapes import Bodies, approaching, tensors
 
 import pgccd
-from pgccd.search.sizes import Capacity
+from pgccd.runtime.sizes import Capacity
 
 NAN, INF = float("nan"), float("inf")
 RIGID = {"position_t0": NAN, "position_t1": -INF, "orientation_t0": 0.1, "rotation": 1e7}

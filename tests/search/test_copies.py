@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from support.reports import detected
 from support.same_bits import COLUMNS, assert_same
 from support.shapes import approaching
 
 import pgccd
-from pgccd.search.sizes import BufferSizes
+from pgccd.runtime.sizes import BufferSizes
 
 COPIES = [copy.copy, copy.deepcopy, lambda value: pickle.loads(pickle.dumps(value))]
 
@@ -29,11 +30,11 @@ def step(device: torch.device | str = "cpu") -> tuple[pgccd.Scene, pgccd.RigidMo
 @pytest.mark.parametrize("report", ["any", "first", "all", "earliest"])
 def test_results(copied: Callable[[Any], Any], report: Any, device: torch.device) -> None:
     scene, motion = step(device)
-    hits = pgccd.detect(scene, motion, report)
+    hits = detected(scene, motion, report)
     assert len(hits) > 0
     assert_same(copied(hits), hits)
     capacity = hits.stats.needed.times(1.5)  # type: ignore[union-attr]
-    padded = copied(pgccd.detect(scene, motion, report, capacity=capacity))
+    padded = copied(detected(scene, motion, report, capacity=capacity))
     assert_same(padded.trim(), hits)
     assert {**asdict(padded.trim().stats), "seconds": 0, "waits": 0, "needed": 0, "scratch_bytes": 0} == {
         **asdict(hits.stats),
@@ -47,7 +48,7 @@ def test_results(copied: Callable[[Any], Any], report: Any, device: torch.device
 @pytest.mark.parametrize("report", ["any", "first"])
 def test_results_without_contacts_are_restored(report: Any, device: torch.device) -> None:
     scene, motion = step(device)
-    hits = pgccd.detect(pgccd.Scene(scene.meshes, [0, 0, 0], device, exclude=[[0, 1], [0, 2], [1, 2]]), motion, report)
+    hits = detected(pgccd.Scene(scene.meshes, [0, 0, 0], device, exclude=[[0, 1], [0, 2], [1, 2]]), motion, report)
     assert len(hits) == 0
     assert_same(type(hits).from_state_dict(hits.state_dict()), hits)
 
@@ -183,7 +184,7 @@ def test_rows(device: torch.device) -> None:
         assert len(part) == 2 and part.stats is hits.stats
         for name in COLUMNS:
             assert torch.equal(getattr(part, name), getattr(hits, name)[1:3])
-    assert len(pgccd.detect(scene, motion, "any")[:1]) == 1 and len(hits[[]]) == 0
+    assert len(pgccd.collide(scene, motion)[:1]) == 1 and len(hits[[]]) == 0
     with pytest.raises(TypeError, match="^rows: expected a mask, row numbers or a slice, got 1"):
         hits[1]  # type: ignore[index]
     with pytest.raises(IndexError, match="^rows: expected numbers of 3 rows, got 3 to 3"):

@@ -11,7 +11,7 @@ from support.host_program import run_program
 from support.shapes import bumpy, tensors, unit_quaternions
 
 import pgccd
-from pgccd.search.sizes import BufferSizes
+from pgccd.runtime.sizes import BufferSizes
 
 # The device code that checks list lengths, compiled for the host.
 PROGRAM = """
@@ -98,7 +98,7 @@ def test_more_candidates_than_32_bits_count() -> None:
     scene = pgccd.Scene([mesh], [0] * count, "cuda")
     given = torch.arange(count, device="cuda").reshape(-1, 2)
     capacity = BufferSizes(pairs=pairs, contacts=64, poses=64 * pairs, tasks=2**22, leaf_pairs=2**28, candidates=2**22)
-    found = pgccd.detect(scene, pgccd.RigidMotion(*pose, path="linear"), "any", 1e6, pairs=given, capacity=capacity)
+    found = pgccd.collide(scene, pgccd.RigidMotion(*pose, path="linear"), 1e6, pairs=given, capacity=capacity)
     assert bool(found.overflow)
     with pytest.raises(pgccd.CapacityError, match="candidates"):
         found.trim()

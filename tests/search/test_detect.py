@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from support.reports import detected
 from support.shapes import Bodies, approaching, on_the_surface
 from support.truth import (
     assert_linear_rows_close,
@@ -107,7 +108,7 @@ def test_reports_agree(device: torch.device, path: Any, separation: float) -> No
     for seed in range(4):
         bodies = crowd(seed)
         scene, motion = bodies.scene(device), bodies.motion(path, device)
-        reports = {r: pgccd.detect(scene, motion, r, separation) for r in ("all", "first", "any", "earliest")}
+        reports = {r: detected(scene, motion, r, separation) for r in ("all", "first", "any", "earliest")}
         everything, first = reports["all"], reports["first"]
         order = list(timed(everything))
         assert order == sorted(order) and len(order) == len(everything), "not in canonical order, or twice"
@@ -186,7 +187,7 @@ def test_nothing_to_collide(device: torch.device, count: int) -> None:
     columns = [torch.tensor(c[:count], device=device) for c in (bodies.position_t0, bodies.orientation_t0)]
     motion = pgccd.RigidMotion(columns[0], columns[1], columns[0] + 1, columns[1])
     for report in ("any", "first", "all", "earliest"):
-        hits = pgccd.detect(scene, motion, report)
+        hits = detected(scene, motion, report)
         assert len(hits) == 0 and hits.pairs.shape == (0, 2) and hits.pairs.dtype == torch.int64
         assert report == "any" or (hits.toi.shape, hits.features.shape) == ((0,), (0, 2))
 
@@ -194,12 +195,12 @@ def test_nothing_to_collide(device: torch.device, count: int) -> None:
 def test_filtered_bodies_do_not_collide(device: torch.device) -> None:
     bodies = crowd(1)
     motion = bodies.motion(device=device)
-    everything = pgccd.detect(bodies.scene(device), motion, "any").pairs.tolist()
+    everything = pgccd.collide(bodies.scene(device), motion).pairs.tolist()
     world = torch.arange(14) % 3
     filtered = pgccd.Scene(bodies.meshes, device=device, world=world, static=world == 0)
     expected = [p for p in everything if p[0] % 3 == p[1] % 3 and p[0] % 3 != 0]
     assert 0 < len(expected) < len(everything)
-    assert pgccd.detect(filtered, motion, "any").pairs.tolist() == expected
+    assert pgccd.collide(filtered, motion).pairs.tolist() == expected
 
 
 @pytest.mark.slow

@@ -425,7 +425,7 @@ def test_contacts_agree_with_distances() -> None:
     scene, motion = scene_of_many(np.random.default_rng(9), "cpu")
     found = pgccd.distance(scene, motion, cutoff=1.5)
     for separation in (0.05, 0.4, 1.0):
-        hits = pgccd.detect(scene, motion, "any", min_separation=separation, tolerance=0.0).pairs.tolist()
+        hits = pgccd.collide(scene, motion, min_separation=separation, tolerance=0.0).pairs.tolist()
         below = {tuple(pair) for pair in found.pairs[found.lower > separation].tolist()}
         above = {tuple(pair) for pair in found.pairs[found.upper <= separation].tolist()}
         colliding = {tuple(pair) for pair in hits}

@@ -175,7 +175,7 @@ def test_touching_bodies_are_contacts(device: torch.device, deforms: bool) -> No
     for lower, upper in (([0, 1, 1], [2, 2, 2]), ([2, 2, 6], [3, 3, 8]), ([0, 0, 0], [8, 8, 8])):
         scene, motion = still([outer, solids.box(lower, upper)], device, deforms)
         assert pgccd.enclosed(scene, motion).tolist() == []
-        assert pgccd.detect(scene, motion, "any").pairs.tolist() == [[0, 1]]
+        assert pgccd.collide(scene, motion).pairs.tolist() == [[0, 1]]
 
 
 def test_no_pair_falls_between(device: torch.device, deforms: bool) -> None:
@@ -190,7 +190,7 @@ def test_no_pair_falls_between(device: torch.device, deforms: bool) -> None:
         q = (1 + 5e-4) * unit_quaternions(np.random.default_rng(6), 1).repeat(2 * len(gaps), axis=0)
         motion = pgccd.RigidMotion.at_rest(motion.position_t0, *tensors(q, device=device))
     within = pgccd.enclosed(scene, motion)[:, 1].tolist()
-    touching = pgccd.detect(scene, motion, "any", tolerance=0.0).pairs[:, 0].tolist()
+    touching = pgccd.collide(scene, motion, tolerance=0.0).pairs[:, 0].tolist()
     assert sorted(within + touching) == list(range(0, 2 * len(gaps), 2))
     # 2 - 1e-16 is 2; points of rigid bodies have errors of some 1e-13.
     assert (len(within) == 15) if deforms else (11 <= len(within) <= 15)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from support.reports import captured_loop, detected, trimmed
 from support.same_bits import assert_same
 from support.shapes import bumpy, tensors, tetrahedron, unit_quaternions
 
@@ -41,19 +42,19 @@ def test_excluded_pairs_are_never_reported(report: str, broad_phase: str, device
     often = torch.tensor([[39, 0]] * 2, device=device)
     exclude = torch.cat([everything.pairs[torch.argsort(everything.toi)][::2].flip(1), often])
     without, _ = crowd(device, exclude=exclude)
-    found = pgccd.detect(without, motion, report, **options)  # type: ignore[call-overload]
-    rest = pgccd.detect(scene, motion, "any", **options).pairs  # type: ignore[call-overload]
+    found = detected(without, motion, report, **options)
+    rest = detected(scene, motion, "any", **options).pairs
     rest = rest[~torch.isin(keys(rest), keys(exclude))]
-    expected = pgccd.detect(scene, motion, report, pairs=rest)  # type: ignore[call-overload]
+    expected = detected(scene, motion, report, pairs=rest)
     assert_same(found, expected)
     assert 0 < len(rest) < len(everything)
     # In a given capacity, and captured.
-    padded = pgccd.detect(without, motion, report, capacity=pgccd.Capacity.of(4000), **options)  # type: ignore[call-overload]
+    padded = detected(without, motion, report, capacity=pgccd.Capacity.of(4000), **options)
     assert_same(padded.trim(), expected)
-    captured = pgccd.CapturedDetection(without, motion, report)  # type: ignore[call-overload]
+    captured = captured_loop(without, motion, report)
     captured(motion)
-    assert_same(captured.contacts(), expected)
-    streamed = pgccd.detect(without, motion, report, memory_budget=1, **options)  # type: ignore[call-overload]
+    assert_same(trimmed(captured), expected)
+    streamed = detected(without, motion, report, memory_budget=1, **options)
     assert_same(streamed, expected)
 
 
@@ -71,8 +72,8 @@ def test_excluded_pairs_of_trajectories(device: torch.device) -> None:
     # The same pairs, given.
     pairs = everything.pairs.unique(dim=0)[1::2]
     for report in ("any", "first", "all", "earliest"):
-        given = pgccd.detect(scene, trajectory, report, pairs=pairs)  # type: ignore[call-overload]
-        assert_same(given, pgccd.detect(without, trajectory, report))  # type: ignore[call-overload]
+        given = detected(scene, trajectory, report, pairs=pairs)
+        assert_same(given, detected(without, trajectory, report))
     assert len(pgccd.detect(scene, trajectory, pairs=pairs[:0])) == 0
     # On a GPU wrong pairs end the process.
     for wrong in (pairs.flip(1), pairs + COUNT, pairs.flip(0)) if device.type == "cpu" else ():
@@ -100,7 +101,7 @@ def test_deforming_bodies_that_are_excluded() -> None:
     x = torch.cat([mesh.vertices, mesh.vertices + 0.1, mesh.vertices + 0.2])
     motion = pgccd.VertexMotion(x, x)
     scene = pgccd.Scene([mesh], [0, 0, 0], exclude=[(1, 2), (0, 1)])
-    assert pgccd.detect(scene, motion, "any").pairs.tolist() == [[0, 2]]
+    assert pgccd.collide(scene, motion).pairs.tolist() == [[0, 2]]
 
 
 def test_a_copy_keeps_them(device: torch.device) -> None:
@@ -117,7 +118,7 @@ def test_files_name_them(tmp_path: Path) -> None:
     (tmp_path / "scene.json").write_text(json.dumps(content))
     scene, trajectory = pgccd.files.load_scene(tmp_path / "scene.json")
     assert isinstance(trajectory, pgccd.Trajectory) and trajectory.margin is not None
-    assert pgccd.detect(scene, trajectory, "any").pairs.tolist() == [[0, 2]]
+    assert pgccd.collide(scene, trajectory).pairs.tolist() == [[0, 2]]
 
 
 def test_what_cannot_be_excluded() -> None:

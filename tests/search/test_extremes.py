@@ -34,7 +34,7 @@ def test_points_that_cross(device: torch.device, exponent: int) -> None:
     bodies = pgccd.MovingBodies.of(scene, motion)
     assert bodies.radius.tolist() == [0.0, 0.0]
     for broad_phase in ("sweep", "grid", "lbvh"):
-        assert found(pgccd.detect(scene, motion, "any", broad_phase=broad_phase)) == [[0, 1]]
+        assert found(pgccd.collide(scene, motion, broad_phase=broad_phase)) == [[0, 1]]
     candidates, _ = pgccd.traverse.find_candidates(bodies, torch.tensor([[0, 1]], device=device))
     # All vertex-face and edge-edge pairs; and edge-face pairs where the bodies' distance is within rounding at t = 0.
     kinds = candidates[:, 1]
@@ -121,7 +121,7 @@ def pairs_that_turn_in_place(size: float, count: int) -> list[list[int]]:
     poses = [torch.stack([identity, other], dim=1).view(-1, 4) for other in (start, end)]
     scene = pgccd.Scene([mesh], torch.zeros(2 * count, dtype=torch.int32))
     motion = pgccd.RigidMotion(position, poses[0], position, poses[1])
-    return found(pgccd.detect(scene, motion, "any", pairs=torch.arange(2 * count).view(count, 2)))
+    return found(pgccd.collide(scene, motion, pairs=torch.arange(2 * count).view(count, 2)))
 
 
 def test_large_bodies_without_subnormal_numbers() -> None:

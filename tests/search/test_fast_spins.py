@@ -12,12 +12,13 @@ from strategies import contacts
 from support.candidates import assert_touching, missed
 from support.host_program import run_program
 from support.origins import moved_to
+from support.reports import detected
 from support.same_bits import columns_of, difference, first_rows
 from support.shapes import bumpy, tensors, unit_quaternions
 
 import pgccd
+from pgccd.runtime.sizes import sizes_of
 from pgccd.search import narrow
-from pgccd.search.sizes import sizes_of
 
 COLUMNS = ("pair", "kind", "features", "status", "toi", "coordinates", "point", "normal")
 
@@ -90,7 +91,7 @@ def test_one_contact_of_each_pair_is_the_first_of_all(device: torch.device, turn
     hits = pgccd.detect(spinning.scene, spinning.motion, "first", initial="assume_free")
     expected = {name: column[first_rows(every, "first").cpu()] for name, column in columns_of(every).items()}
     assert len(hits) > 0 and difference(columns_of(hits), expected) is None
-    touching = pgccd.detect(spinning.scene, spinning.motion, "any", initial="assume_free")
+    touching = pgccd.collide(spinning.scene, spinning.motion, initial="assume_free")
     assert torch.equal(touching.pairs, hits.pairs)
     earliest = pgccd.detect(spinning.scene, spinning.motion, "earliest", initial="assume_free")
     assert earliest.toi.tolist() == [float(hits.toi.min())] * len(earliest) != []
@@ -113,8 +114,8 @@ def test_early_contacts_end_the_search(report: narrow.Report) -> None:
     counts = []
     for turn in (100.0, 10_000.0):
         spinning = Spinning.of(turn, 3.0, torch.device("cpu"))
-        pairs = pgccd.detect(spinning.scene, spinning.motion, "any").pairs
-        hits = pgccd.detect(spinning.scene, spinning.motion, report, pairs=pairs)  # type: ignore[call-overload]
+        pairs = pgccd.collide(spinning.scene, spinning.motion).pairs
+        hits = detected(spinning.scene, spinning.motion, report, pairs=pairs)
         assert len(hits) == len(pairs) > 5
         counts.append((hits.stats.candidates, hits.stats.node_tests))
     (candidates, node_tests), (candidates_later, node_tests_later) = counts
@@ -141,7 +142,7 @@ def test_a_shorter_search_of_one_pair_leaves_the_others_alone(device: torch.devi
     """
     scene, motion = on_one_circle(16, device)
     expected = pgccd.detect(*on_one_circle(16, torch.device("cpu")), "first", initial="assume_free")
-    assert len(expected) == len(pgccd.detect(scene, motion, "any").pairs) > 60
+    assert len(expected) == len(pgccd.collide(scene, motion).pairs) > 60
     assert int(((expected.toi > 0.01) & (expected.toi < 0.05)).sum()) > 20
     capacity = sizes_of(pgccd.detect(scene, motion, "first", initial="assume_free").stats.needed).times(2.0)
     for crowded in (False, True):

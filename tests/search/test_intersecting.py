@@ -13,6 +13,7 @@ from oracle import distance, intersection
 from oracle.intersection import as_integers, crossings_of_meshes, crossings_within, have_common_point
 from support import intersecting, solids
 from support.intersecting import EF_AB, EF_BA, integer_pairs
+from support.reports import captured_loop, detected
 from support.same_bits import COLUMNS, assert_same
 from support.shapes import bumpy, tensors, turned, unit_quaternions
 
@@ -61,7 +62,7 @@ def test_single_pairs(device: torch.device, report: narrow.Report) -> None:
     a, b = integer_pairs(rng, 60, 4)
     for k, meets in enumerate(have_common_point(a, b).tolist()):
         scene, motion = intersecting.deforming_scene(rng, a[k : k + 1], b[k : k + 1], device, False)
-        hits = pgccd.detect(scene, motion, report)
+        hits = detected(scene, motion, report)
         assert (len(hits) > 0) == meets
         assert report == "any" or not meets or float(hits.first_toi()) == 0.0
 
@@ -92,7 +93,7 @@ def test_initial_state_assumed_free(device: torch.device) -> None:
     a, b = integer_pairs(rng, 2000)
     scene, motion = intersecting.deforming_scene(rng, a, b, device, True)
     for report in REPORTS:
-        assumed, reported = (pgccd.detect(scene, motion, report, initial=i) for i in ("assume_free", "report"))
+        assumed, reported = (detected(scene, motion, report, initial=i) for i in ("assume_free", "report"))
         assert len(assumed) > 0 and (report == "any" or int(assumed.kind.max()) < EF_AB)
         if report == "all":
             rest = reported[reported.kind < EF_AB]
@@ -113,21 +114,21 @@ def test_other_ways_of_searching(device: torch.device, kind: str, report: narrow
         motion = pgccd.RigidMotion(*rigid.at(0.0), *rigid.at(1.0))  # a trajectory turns the shorter way
         ends = [rigid.at(t) for t in (0.0, 1.0, 0.0)]
         path = pgccd.Trajectory(*(torch.stack([end[k] for end in ends]) for k in range(2)))
-    expected = pgccd.detect(scene, motion, report)
+    expected = detected(scene, motion, report)
     pairs = torch.arange(2 * len(a), device=device).view(-1, 2)
-    assert_same(pgccd.detect(scene, motion, report, pairs=pairs), expected)
-    assert_same(pgccd.detect(scene, motion, report, memory_budget=20_000), expected)
+    assert_same(detected(scene, motion, report, pairs=pairs), expected)
+    assert_same(detected(scene, motion, report, memory_budget=20_000), expected)
     capacity = replace(pgccd.Capacity.of(2 * len(a)), candidates=100_000, contacts=100_000)
-    assert_same(pgccd.detect(scene, motion, report, capacity=capacity).trim(), expected)
-    captured = pgccd.CapturedDetection(scene, motion, report)
+    assert_same(detected(scene, motion, report, capacity=capacity).trim(), expected)
+    captured = captured_loop(scene, motion, report)
     for _ in range(2):
         assert_same(captured(motion).trim(), expected)
-    along = pgccd.detect(scene, path, report)
+    along = detected(scene, path, report)
     if report == "any":
         assert torch.isin(expected.pairs, along.pairs).all()
         return
     for k in range(2 if report == "all" else 1):
-        of_segment = pgccd.detect(scene, path.segment(k), report)
+        of_segment = detected(scene, path.segment(k), report)
         for column in COLUMNS:
             assert torch.equal(getattr(along, column)[along.segment == k], getattr(of_segment, column)), column
     if report == "all" and kind == "deforming":  # rigid ones no longer intersect
@@ -222,7 +223,7 @@ def test_doubles(device: torch.device, family: str, scale: float, offset: float)
     every = pgccd.detect(scene, motion, "all", tolerance=0.0)
     assert np.array_equal(intersecting.crossings_of(every), intersecting.expected_crossings(a, b))
     for report in ("any", "first"):
-        hits = pgccd.detect(scene, motion, report, tolerance=0.0)
+        hits = detected(scene, motion, report, tolerance=0.0)
         found = (hits.pairs[:, 0] // 2).cpu().numpy()
         assert np.isin(np.flatnonzero(meet), found).all(), "missed"
         for k in found[~meet[found]]:
@@ -280,10 +281,10 @@ def test_boxes(device: torch.device) -> None:
     still, moving = pgccd.RigidMotion.at_rest(*start), pgccd.RigidMotion.from_velocity(*start, *velocity, dt=1.0)
     rows = [[2 * k, 2 * k + 1] for k in np.flatnonzero(meet).tolist()]
     for report in ("any", "first", "all"):
-        hits = pgccd.detect(scene, still, report)
+        hits = detected(scene, still, report)
         assert torch.unique(hits.pairs, dim=0).tolist() == rows
         if report != "any":
-            hits = pgccd.detect(scene, moving, report)
+            hits = detected(scene, moving, report)
             assert torch.unique(hits.pairs[hits.toi == 0], dim=0).tolist() == rows
     inner = np.where(a_in_b > 0, 0, 1)
     contained = np.flatnonzero((a_in_b > 0) | (b_in_a > 0)).tolist()
@@ -349,11 +350,11 @@ def test_self_collision(device: torch.device, topology: str) -> None:
         pgccd.VertexMotion(*tensors(start, start + k * rng.normal(size=start.shape), device=device)) for k in (0, 1)
     )
     for report in REPORTS:
-        hits = pgccd.detect(scene, still, report, tolerance=0.0)
+        hits = detected(scene, still, report, tolerance=0.0)
         rows = torch.unique(hits.pairs, dim=0).tolist()
         assert rows == [[k, k] for k in np.flatnonzero(meets).tolist()][: 1 if report == "earliest" else None]
         if report != "any":
-            hits = pgccd.detect(scene, moving, report, tolerance=0.0)
+            hits = detected(scene, moving, report, tolerance=0.0)
             assert torch.unique(hits.pairs[hits.toi == 0], dim=0).tolist() == rows
     every = pgccd.detect(scene, moving, "all", tolerance=0.0)
     for k in range(len(x)):
@@ -395,7 +396,7 @@ def test_cloth(device: torch.device, shape: str) -> None:
     assert within == sorted(crossings_within(np.concatenate(whole), all_faces)) and len(within) == len(expected)
     for report in ("any", "first", "earliest"):
         for one in (scene, own):
-            assert (len(pgccd.detect(one, motion, report)) > 0) == (shape != "nested")
+            assert (len(detected(one, motion, report)) > 0) == (shape != "nested")
 
 
 def test_a_body_that_sticks_out_is_not_enclosed(device: torch.device) -> None:
@@ -403,7 +404,7 @@ def test_a_body_that_sticks_out_is_not_enclosed(device: torch.device) -> None:
     motion = at_rest(np.concatenate([outer[0], rod[0]]), device)
     scene = pgccd.Scene([pgccd.Mesh(*outer), pgccd.Mesh(*rod)], device=device)
     assert len(pgccd.enclosed(scene, motion)) == 0
-    assert pgccd.detect(scene, motion, "any").pairs.tolist() == [[0, 1]]
+    assert pgccd.collide(scene, motion).pairs.tolist() == [[0, 1]]
 
 
 @pytest.mark.slow

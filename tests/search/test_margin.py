@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from support.origins import recentred
+from support.reports import detected
 from support.same_bits import assert_same
 from support.shapes import bumpy, directions, height_field, tensors, tetrahedron, unit_quaternions
 
@@ -36,7 +37,7 @@ class Heap:
     ) -> pgccd.Contacts:
         scene = pgccd.Scene(self.meshes, self.index, self.device, margin=margin)  # type: ignore[arg-type]
         motion = pgccd.RigidMotion.from_velocity(*self.columns, dt=1.0, path=path)  # type: ignore[arg-type]
-        return pgccd.detect(scene, motion, report, **options)  # type: ignore[call-overload]
+        return detected(scene, motion, report, **options)
 
 
 @pytest.mark.parametrize("path", ["rigid", "linear"])

@@ -13,12 +13,12 @@ from support.crowds import crowds
 from support.same_bits import assert_same
 
 import pgccd
+from pgccd.runtime.sizes import BufferSizes, Capacity
 from pgccd.search.detect import detect_moving
 from pgccd.search.memory import CapacityEstimate, estimate_of
 from pgccd.search.padded import counts_of_given
 from pgccd.search.passes import SearchPass, contacts_of_step, find_pass, pairs_of_rounds
 from pgccd.search.query import Query
-from pgccd.search.sizes import BufferSizes, Capacity
 
 passes_module = sys.modules["pgccd.search.passes"]
 

@@ -15,11 +15,12 @@ import torch
 from support.crowds import crowds
 from support.deforming import Ends, crumpled, motion_of
 from support.host_program import run_program
+from support.reports import detected
 from support.same_bits import assert_same, first_rows
 
 import pgccd
 from pgccd import narrow
-from pgccd.search.sizes import sizes_of
+from pgccd.runtime.sizes import sizes_of
 
 # From this capacity on, a GPU searches in two parts.
 MANY_PAIRS = 1 << 18
@@ -38,11 +39,11 @@ def assert_parts_agree(
     scene: pgccd.Scene, motion: pgccd.RigidMotion | pgccd.VertexMotion, report: narrow.Report, separation: float
 ) -> pgccd.Contacts:
     """Detects with many and with few pairs of capacity, and as a crowded search."""
-    whole = pgccd.detect(scene, motion, report, separation)
+    whole = detected(scene, motion, report, separation)
     needed = whole.stats.needed
     assert needed is not None
     capacity = replace(needed.times(2.0), pairs=MANY_PAIRS, candidates=100_000, open=100_000, leaf_pairs=100_000)
-    parts = pgccd.detect(scene, motion, report, separation, capacity=capacity).trim()
+    parts = detected(scene, motion, report, separation, capacity=capacity).trim()
     every = pgccd.detect(scene, motion, "all", separation)
     expected = every[first_rows(every, report)]
     if report == "any":
@@ -50,7 +51,7 @@ def assert_parts_agree(
     else:
         assert_same(parts, expected)
         assert_same(whole, expected)
-    crowded = pgccd.detect(scene, motion, report, separation, capacity=replace(capacity, crowded=True)).trim()
+    crowded = detected(scene, motion, report, separation, capacity=replace(capacity, crowded=True)).trim()
     assert torch.equal(crowded.pairs, parts.pairs)
     if report != "any":
         assert_same(crowded, parts)
@@ -257,7 +258,7 @@ def test_one_contact_of_many_at_the_start(
     step = torch.tensor([[0.02, 0.0, 0.0], [0.0, 0.01, 0.0], [0.0, 0.0, 0.0]], dtype=torch.float64)
     scene = pgccd.Scene([sphere], [0, 0, 0], device=device)
     motion = pgccd.RigidMotion(start, unit, start + step, unit).to(device)
-    found, every = (pgccd.detect(scene, motion, each, separation) for each in (report, "all"))
+    found, every = (detected(scene, motion, each, separation) for each in (report, "all"))
     expected = every[first_rows(every, report)]
     assert torch.equal(found.pairs, expected.pairs)
     if isinstance(found, pgccd.Contacts):
@@ -268,7 +269,7 @@ def test_one_contact_of_many_at_the_start(
     # A GPU searches all at once what fits, and in parts from then on; in a graph as well.
     capacity = pgccd.Capacity.of(3)
     for _ in range(4):
-        hits = pgccd.detect(scene, motion, report, separation, capacity=capacity)
+        hits = detected(scene, motion, report, separation, capacity=capacity)
         if not bool(hits.overflow):
             break
         with pytest.raises(pgccd.CapacityError) as raised:
@@ -288,7 +289,7 @@ def test_one_vertex_touches_faces_of_many_leaves(report: narrow.Report, device: 
     unit = torch.tensor([[1.0, 0.0, 0.0, 0.0]] * 2, dtype=torch.float64)
     scene = pgccd.Scene([pgccd.Mesh.box([0.1, 0.1, 0.1]), pgccd.Mesh.sphere(1.0)], device=device)
     motion = pgccd.RigidMotion(start, unit, start, unit).to(device)
-    found, every = (pgccd.detect(scene, motion, each, 3.0) for each in (report, "all"))
+    found, every = (detected(scene, motion, each, 3.0) for each in (report, "all"))
     assert_same(found, every[first_rows(every, report)])
     assert found.features.tolist() == [[0, 0]] and len(every) > 10_000
 
@@ -305,7 +306,7 @@ def test_many_bodies_that_intersect(threads: int, device: torch.device) -> None:
     before = torch.get_num_threads()
     torch.set_num_threads(threads)
     try:
-        found = {report: pgccd.detect(scene, motion, report) for report in narrow.REPORTS}
+        found = {report: detected(scene, motion, report) for report in narrow.REPORTS}
     finally:
         torch.set_num_threads(before)
     every = found["all"]

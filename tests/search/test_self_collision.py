@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import TriMesh, meshes
 from support.deforming import Ends, crumpled, motion_of, noisy
+from support.reports import detected
 from support.same_bits import COLUMNS, assert_same
 from support.shapes import approaching, bumpy, tensors
 from support.truth import (
@@ -30,7 +31,7 @@ def own_hits(
     mesh: pgccd.Mesh, ends: Ends, device: torch.device, report: narrow.Report = "all", *args: Any, **options: Any
 ) -> pgccd.Contacts:
     scene = pgccd.Scene([mesh], device=device, self_collision=True)
-    return pgccd.detect(scene, motion_of(ends, device=device), report, *args, **options)
+    return detected(scene, motion_of(ends, device=device), report, *args, **options)
 
 
 def assert_canonical(mesh: pgccd.Mesh, kinds: torch.Tensor, features: torch.Tensor) -> None:
@@ -200,10 +201,10 @@ def test_among_other_bodies(device: torch.device, report: narrow.Report) -> None
     shapes, ends = crumpled(6)
     chosen = [True, False, True, True, False, True]
     motion = motion_of(*ends, device=device)
-    hits = pgccd.detect(pgccd.Scene(shapes, device=device, self_collision=chosen), motion, report)
+    hits = detected(pgccd.Scene(shapes, device=device, self_collision=chosen), motion, report)
     apart = hits.pairs[:, 0] != hits.pairs[:, 1]
     assert bool(torch.equal(hits.pairs, torch.tensor(sorted(hits.pairs.tolist()), device=device)))
-    without = pgccd.detect(pgccd.Scene(shapes, device=device), motion, report)
+    without = detected(pgccd.Scene(shapes, device=device), motion, report)
     if report != "earliest":
         assert_same(hits[apart], without)
         for k in range(6):
@@ -217,7 +218,7 @@ def test_among_other_bodies(device: torch.device, report: narrow.Report) -> None
                 assert torch.equal(getattr(hits, column)[own], getattr(alone, column)), column
     for budget in (1, 4000, 10**7):
         scene = pgccd.Scene(shapes, device=device, self_collision=chosen)
-        assert_same(pgccd.detect(scene, motion, report, memory_budget=budget), hits)
+        assert_same(detected(scene, motion, report, memory_budget=budget), hits)
 
 
 def test_reports_agree(device: torch.device) -> None:

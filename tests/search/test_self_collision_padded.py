@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 import torch
 from support.deforming import Ends, crumpled, motion_of
+from support.reports import detected
 from support.same_bits import assert_same
 
 import pgccd
 from pgccd import narrow
+from pgccd.runtime.sizes import Capacity
 from pgccd.search.memory import CapacityEstimate
-from pgccd.search.sizes import Capacity
 
 
 def crumpled_capacity(device: torch.device) -> tuple[pgccd.Scene, list[Ends], pgccd.Capacity]:
@@ -30,19 +31,19 @@ def test_in_a_fixed_capacity(device: torch.device, report: narrow.Report) -> Non
     shapes, ends = crumpled(4)
     scene = pgccd.Scene(shapes, device=device, self_collision=[False, True, True, True])
     motion = motion_of(*ends, device=device)
-    expected = pgccd.detect(scene, motion, report)
+    expected = detected(scene, motion, report)
     needed = expected.stats.needed
     assert needed is not None and needed.pairs == expected.stats.pcs > 3
     # A CPU that bounds its search by a first guess has fewer candidates.
     capacity = replace(needed.times(1.5), candidates=100_000)
     for broad_phase in ("sweep", "grid", "lbvh"):
-        hits = pgccd.detect(scene, motion, report, broad_phase=broad_phase, capacity=capacity)
+        hits = detected(scene, motion, report, broad_phase=broad_phase, capacity=capacity)
         assert not bool(hits.overflow)
         assert hits.trim().stats.pcs == needed.pairs
         assert_same(hits.trim(), expected)
     # Just enough, one too few, fewer than the self-colliding bodies, and none.
     for pairs in (needed.pairs, needed.pairs - 1, 2, 0):
-        hits = pgccd.detect(scene, motion, report, capacity=replace(capacity, pairs=pairs))
+        hits = detected(scene, motion, report, capacity=replace(capacity, pairs=pairs))
         assert bool(hits.overflow) == (pairs < needed.pairs)
         if pairs < needed.pairs:
             with pytest.raises(pgccd.CapacityError, match=f"pairs: .* in {pairs}"):

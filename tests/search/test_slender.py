@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from support.origins import recentred
+from support.reports import detected
 from support.same_bits import assert_same
 from support.shapes import bumpy, directions, tensors, unit_quaternions
 
@@ -62,14 +63,14 @@ def by_spheres(scene: pgccd.Scene, motion: Any, *options: Any, **named: Any) -> 
     """The contacts found without boxes."""
     scene.meshes.has_boxes = False
     try:
-        return pgccd.detect(scene, motion, *options, **named)
+        return detected(scene, motion, *options, **named)
     finally:
         scene.meshes.has_boxes = True
 
 
 def check(scene: pgccd.Scene, motion: Any, *options: Any, fewer: float = 1.0, **named: Any) -> pgccd.Contacts:
     """Asserts equal contacts with and without boxes, and that these leave less than a part of the pairs."""
-    found, expected = pgccd.detect(scene, motion, *options, **named), by_spheres(scene, motion, *options, **named)
+    found, expected = detected(scene, motion, *options, **named), by_spheres(scene, motion, *options, **named)
     assert_same(found, expected)
     assert len(found) > 0 and found.stats.pcs < fewer * expected.stats.pcs
     return found
@@ -113,7 +114,7 @@ def test_few_pairs_are_searched_in_vain(device: torch.device, aspect: float, def
             placed = x + 2 * torch.cross(v, torch.cross(v, x.expand_as(v), dim=2) + q[:, None, :1] * x, dim=2)
             ends.append((placed + position[:, None]).reshape(-1, 3))
         moved = pgccd.VertexMotion(*ends)
-    found = pgccd.detect(scene, moved, "any")
+    found = pgccd.collide(scene, moved)
     assert len(found) > 200 and found.stats.pcs <= 2 * len(found)
     assert by_spheres(scene, moved, "any").stats.pcs > 5 * len(found)
 
@@ -184,7 +185,7 @@ def test_pairs_at_any_times(device: torch.device) -> None:
     rng = np.random.default_rng(5)
     for _ in range(20):
         fraction = torch.tensor(rng.uniform(size=len(heap.index)), device=device)
-        hits = pgccd.detect(scene, motion.shortened(fraction), "any")
+        hits = pgccd.collide(scene, motion.shortened(fraction))
         assert {tuple(sorted(pair)) for pair in hits.pairs.tolist()} <= known
     scene.meshes.has_boxes = False
     spheres = pgccd.broad.find_pairs_of_checked(pgccd.MovingBodies.of(scene, motion), 0.0, "grid", at_any_times=True)

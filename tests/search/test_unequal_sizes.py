@@ -237,6 +237,6 @@ def test_starts_that_cross_by_less_than_rounding(
         corners = np.array([[int(c * whole) for c in x] for x in placed], dtype=object)
         expected.append(bool(have_common_point(corners[None, :3], corners[None, 3:])[0]))
         motion = pgccd.RigidMotion.at_rest(*tensors(position, q, device=device))
-        found.append(len(pgccd.detect(pgccd.Scene(meshes, device=device), motion, "any", tolerance=0.0)) > 0)
+        found.append(len(pgccd.collide(pgccd.Scene(meshes, device=device), motion, tolerance=0.0)) > 0)
     assert 10 < sum(expected) < len(expected) - 10
     assert found == expected

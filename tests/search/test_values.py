@@ -12,7 +12,7 @@ from support.shapes import Bodies, approaching, tensors
 
 import pgccd
 from pgccd.motion.validation import CHECK_NUMBERS
-from pgccd.search.sizes import Capacity
+from pgccd.runtime.sizes import Capacity
 
 NAN, INF = float("nan"), float("inf")
 STILL = np.array([[1.0, 0.0, 0.0, 0.0]] * 2)

@@ -16,8 +16,8 @@ from pgccd.distributed import Alone
 from pgccd.distributed.detection.options import PassEstimates
 from pgccd.resolution.round_plan import RoundPlan
 from pgccd.runtime import replayed_steps, transaction
+from pgccd.runtime.sizes import BufferSizes
 from pgccd.search import detect as pipeline
-from pgccd.search.sizes import BufferSizes
 from pgccd.sim import CommittedStep, Model, ModelConfig, RobotState, Simulation, Step, captured
 from pgccd.sim import simulation as simulation_module
 from pgccd.sim.captured import RecentRounds, StepGraph

@@ -22,9 +22,9 @@ from pgccd.resolution import listed
 from pgccd.resolution.listed import ListedSearch
 from pgccd.resolution.round_plan import RoundPlan
 from pgccd.resolution.rounds import Found, OneRank, ResolvedStep, resolve_collisions
+from pgccd.runtime.sizes import COUNT_ROWS, BufferSizes, Capacity
 from pgccd.runtime.stages import StageClock
 from pgccd.search.passes import SearchPass
-from pgccd.search.sizes import COUNT_ROWS, BufferSizes, Capacity
 from pgccd.sim import Fractions, Model, ModelConfig, RobotState, robot_mesh
 from pgccd.sim.simulation import FIRST_CONTACTS
 from pgccd.sim.tally import WORK

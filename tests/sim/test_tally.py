@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pgccd.resolution.counts import GatheredCounts
-from pgccd.search.sizes import COUNT_ROWS
+from pgccd.runtime.sizes import COUNT_ROWS
 from pgccd.sim.captured import CommittedStep
 from pgccd.sim.reports import REPORTED
 from pgccd.sim.tally import COUNTED, WORK

@@ -64,7 +64,7 @@ class Tally:
 
 
 def touching(scene: pgccd.Scene, position: torch.Tensor, orientation: torch.Tensor) -> Found:
-    pairs = pgccd.detect(scene, pgccd.RigidMotion.at_rest(position, orientation), "any").pairs
+    pairs = pgccd.collide(scene, pgccd.RigidMotion.at_rest(position, orientation)).pairs
     return {(int(i), int(j)) for i, j in pairs.tolist()}
 
 

@@ -144,7 +144,7 @@ def test_filters_are_those_of_mujoco(option: str, with_pairs: bool) -> None:
     mujoco.mj_forward(model, data)
     theirs = {tuple(sorted(pair)) for pair in data.contact.geom[: data.ncon].tolist()}
     simulator = pgccd.simulators.MuJoCo(model)
-    colliding = pgccd.detect(simulator.scene, pgccd.RigidMotion.at_rest(*simulator.frame(data)), "any").pairs
+    colliding = pgccd.collide(simulator.scene, pgccd.RigidMotion.at_rest(*simulator.frame(data))).pairs
     ours = {tuple(simulator.geoms[pair].tolist()) for pair in colliding.numpy()}
     assert ours == theirs and len(ours) > 5
 

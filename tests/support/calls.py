@@ -20,6 +20,7 @@ import pgccd
 from pgccd.robots import Obstacles
 from support.arms import loaded, random_arm
 from support.random_scenes import LAYOUTS, RandomScene
+from support.reports import captured_loop, detected, trimmed
 from support.shapes import unit_quaternions
 
 Columns = dict[str, Tensor]
@@ -53,7 +54,7 @@ class Given:
         return not isinstance(self.motion, pgccd.Trajectory)
 
     def detect(self, report: str, **more: Any) -> Any:
-        return pgccd.detect(self.bodies, self.motion, **(self.scene.arguments | {"report": report} | more))
+        return detected(self.bodies, self.motion, **(self.scene.arguments | {"report": report} | more))
 
     @property
     def length(self) -> float:
@@ -181,9 +182,9 @@ def _audited(given: Given) -> Columns:
 
 
 def _captured(report: str, given: Given) -> Columns:
-    loop: Any = pgccd.CapturedDetection(given.bodies, given.motion, **(given.scene.arguments | {"report": report}))
+    loop = captured_loop(given.bodies, given.motion, **(given.scene.arguments | {"report": report}))
     loop(given.motion)
-    return _on_cpu(loop.contacts().columns)
+    return _on_cpu(trimmed(loop).columns)
 
 
 def _padded(report: str, given: Given) -> Columns:

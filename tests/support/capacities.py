@@ -6,7 +6,7 @@ from dataclasses import fields
 
 import pytest
 
-from pgccd.search.sizes import BufferSizes
+from pgccd.runtime.sizes import BufferSizes
 
 PARTS = [field.name for field in fields(BufferSizes) if field.type == "int" and field.name != "launches"]
 #: A CPU allocates as much as it needs of the others.

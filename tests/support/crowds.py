@@ -11,6 +11,7 @@ from torch import Tensor
 
 import pgccd
 from support.origins import recentred
+from support.reports import detected
 from support.shapes import bumpy, unit_quaternions
 
 
@@ -36,7 +37,7 @@ class Crowd:
         """Contacts found by one process."""
         scene = pgccd.Scene(self.meshes, self.mesh_index, **self.filters)
         every_body = torch.arange(len(self.position))
-        return pgccd.detect(scene, self.motion(every_body), report, self.min_separation)
+        return detected(scene, self.motion(every_body), report, self.min_separation)
 
 
 @cache

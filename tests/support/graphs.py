@@ -12,7 +12,7 @@ from torch import Tensor
 
 from pgccd.resolution import rounds as rounds_module
 from pgccd.runtime import transaction
-from pgccd.search.sizes import COUNT_ROWS
+from pgccd.runtime.sizes import COUNT_ROWS
 
 
 class Recorded:

@@ -10,6 +10,7 @@ import torch
 from oracle.intersection import crossings, have_common_point
 
 import pgccd
+from support.reports import detected
 from support.same_bits import assert_same
 from support.shapes import tensors
 
@@ -202,7 +203,7 @@ def check_reports(
         assert (pairs[:, 0] % 2 == 0).all() and (pairs[:, 1] == pairs[:, 0] + 1).all()
         return pairs[:, 0] // 2
 
-    colliding = pairs_of(pgccd.detect(scene, motion, "any", **options))
+    colliding = pairs_of(detected(scene, motion, "any", **options))
     assert np.array_equal(colliding, meet) if is_at_rest else np.isin(meet, colliding).all()
     everything = pgccd.detect(scene, motion, "all", **options)
     assert np.array_equal(crossings_of(everything), expected_crossings(a, b))

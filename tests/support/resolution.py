@@ -14,9 +14,9 @@ import pgccd
 from pgccd.resolution.listed import ListedSearch
 from pgccd.resolution.round_plan import RoundPlan
 from pgccd.resolution.rounds import Found, Fractions, found_by, resolve_collisions
+from pgccd.runtime.sizes import COUNT_ROWS, BufferSizes
 from pgccd.runtime.stages import StageClock
 from pgccd.search.passes import SearchPass
-from pgccd.search.sizes import COUNT_ROWS, BufferSizes
 from pgccd.sim import Model, RobotState, contacts_hash, respond, state_hash
 from pgccd.sim.simulation import FIRST_CONTACTS
 

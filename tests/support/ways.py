@@ -17,6 +17,7 @@ from pgccd.distributed import BalanceOptions, Comm, World
 from support.hard_scenes import hard_scene
 from support.random_scenes import RandomScene
 from support.ranks import RankPool
+from support.reports import captured_loop, detected, of_contacts, stepped, trimmed
 from support.same_bits import columns_of, difference, first_rows
 
 Columns = dict[str, Tensor]
@@ -38,7 +39,7 @@ class Difference:
 def reference(scene: RandomScene) -> pgccd.Contacts:
     """The contacts by one thread of a CPU, in one piece, by the sweep."""
     with threads_set(1):
-        return pgccd.detect(scene.scene(), scene.motion(), broad_phase="sweep", **scene.arguments)
+        return detected(scene.scene(), scene.motion(), broad_phase="sweep", **scene.arguments)
 
 
 def differences(
@@ -103,7 +104,8 @@ def _not_of_all(scene: RandomScene, found: pgccd.Contacts | pgccd.CollidingPairs
     report = scene.arguments["report"]
     if report == "all" or isinstance(scene.motion(), pgccd.Trajectory):
         return None
-    every = pgccd.detect(scene.scene(), scene.motion(), **(scene.arguments | {"report": "all"}))
+    arguments = scene.arguments | {"report": "all"} | ({"nonzero_toi": False} if report == "any" else {})
+    every = pgccd.detect(scene.scene(), scene.motion(), **arguments)
     expected = columns_of(every[first_rows(every, report)])
     return difference(columns_of(found), {name: expected[name] for name in found.columns})
 
@@ -120,7 +122,7 @@ def _all_ways(scene: RandomScene, whole: pgccd.Contacts, devices: Iterable[str])
 
 def _ways(scene: RandomScene, whole: pgccd.Contacts, device: str) -> Iterator[tuple[str, Callable[[], pgccd.Contacts]]]:
     bodies, motion = scene.scene(device), scene.motion(device)
-    detect = partial(pgccd.detect, bodies, motion, **scene.arguments)
+    detect = partial(detected, bodies, motion, **scene.arguments)
     if device == "cpu":
 
         def threads() -> pgccd.Contacts:
@@ -146,10 +148,10 @@ def _ways(scene: RandomScene, whole: pgccd.Contacts, device: str) -> Iterator[tu
     yield "given pairs in a fixed capacity", lambda: detect(pairs=pairs, capacity=needed.times(1.5)).trim()
 
     def captured() -> pgccd.Contacts:
-        loop = pgccd.CapturedDetection(bodies, motion, **scene.arguments)
+        loop = captured_loop(bodies, motion, **scene.arguments)
         loop(motion)
         loop(motion)
-        return loop.contacts()
+        return trimmed(loop)
 
     yield "captured", captured
 
@@ -192,7 +194,7 @@ def on_rank(comm: Comm, seeds: list[int], device: str) -> list[tuple[Tensor, Col
         with _named(scene):
             world = world_of(comm, scene, device)
             own = body_of(world.id.cpu())
-            answers.append((own, columns_of(world.step(scene.motion(device, own)))))
+            answers.append((own, columns_of(stepped(world, scene.motion(device, own), scene.arguments["report"]))))
     return answers
 
 
@@ -220,7 +222,7 @@ def world_of(comm: Comm, scene: RandomScene, device: str) -> World:
         **({"cells": 3} if by_cells else {}),
         **{name: column[mine].to(device) for name, column in scene.filters.items()},
         exclude=exclude,
-        **scene.arguments,
+        **(scene.arguments | {"report": of_contacts(scene.arguments["report"])}),
     )
     if by_cells:
         owner = torch.randint(comm.size, (world.partition.cell_count,), generator=generator).to(device)

@@ -12,6 +12,7 @@ from torch import Tensor
 import pgccd
 from pgccd.distributed import BalanceOptions, Bisection, Comm, World
 from support.ranks import to_all
+from support.reports import detected, of_contacts, stepped
 from support.shapes import tetrahedron
 
 Columns = dict[str, Tensor]
@@ -71,13 +72,17 @@ class Machine:
             assert folder is not None
             for name in _KEPT:
                 setattr(self, name, resume[name])
-            self.world = World.load(folder, MESHES, comm=comm, balance=self.balance(), **self.options)
+            self.world = World.load(folder, MESHES, comm=comm, balance=self.balance(), **self.of_world())
         self.counts = dict.fromkeys(("contacts", "stopped", "rounds", "touching", "unresolved", "excluded"), 0)
         self.check()
 
     def state(self) -> dict[str, Any]:
         """What a later machine goes on from, besides the checkpoint."""
         return {name: getattr(self, name) for name in _KEPT}
+
+    def of_world(self) -> dict[str, Any]:
+        """The options of the world."""
+        return self.options | {"report": of_contacts(self.options["report"])}
 
     def balance(self) -> BalanceOptions:
         if self.rng.integers(3) == 0:
@@ -213,7 +218,7 @@ class Machine:
             exclude=self.more_excluded(given),
             **cells,
             **arguments,
-            **self.options,
+            **self.of_world(),
         )
         self.table["id"] = given
         self.sort()
@@ -390,14 +395,14 @@ class Machine:
         whole, own = self.motion(trajectory)
         names = self.names()
         expected = self.detect(whole, trajectory)
-        hits = self.world.step(own, payload=names[::-1])
+        hits = stepped(self.world, own, self.options["report"], payload=names[::-1])
         self.steps_made += 1
         self.same_contacts(hits, expected, names, self.options["report"] == "earliest")
         return f"step {type(whole).__name__} {len(expected.pairs)}"
 
     def detect(self, whole: Any, trajectory: bool) -> Any:
         options = {name: value for name, value in self.options.items() if name != "path"}
-        return pgccd.detect(self.scene(), whole, **options)
+        return detected(self.scene(), whole, **options)
 
     def resolve(self) -> str:
         trajectory = bool(self.rng.integers(3) == 0)

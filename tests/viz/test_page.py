@@ -15,7 +15,7 @@ from support.steps import step_of
 
 import pgccd
 from pgccd import sim, viz
-from pgccd.search.sizes import sizes_of
+from pgccd.runtime.sizes import sizes_of
 from pgccd.viz import content
 from pgccd.viz.animation import RigidPaths, animation_of
 from pgccd.viz.raster import placed
@@ -171,7 +171,7 @@ def test_incomplete_results_and_pairs_without_times() -> None:
     contacts = data_of(page)["contacts"]
     tois = decoded(contacts["toi"], np.float64, contacts["count"])
     assert set(tois) <= set(whole.toi.tolist()) and tois.max() > 0.0
-    pairs = viz.Page.of(scene, motion, pgccd.detect(scene, motion, "any"))
+    pairs = viz.Page.of(scene, motion, pgccd.collide(scene, motion))
     states = decoded(data_of(pairs)["bodies"]["state"], np.uint8, 30)
     assert (states == 2).sum() == len(whole.pairs.unique()) > 0 and data_of(pairs)["contacts"]["count"] == 0
     assert "no times" in pairs.notes[0]

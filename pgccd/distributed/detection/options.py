@@ -16,7 +16,7 @@ from pgccd.search.query import Query
 class SearchOptions:
     """Options of `pgccd.detect`, and how to run it."""
 
-    report: narrow.Report = "first"
+    report: narrow.SearchReport = "first"
     min_separation: float = 0.0
     tolerance: float | None = None
     nonzero_toi: bool = False
@@ -31,7 +31,7 @@ class SearchOptions:
 
     def check(self) -> None:
         """Raises TypeError or ValueError, naming the option, if one is invalid."""
-        arguments.choice(self.report, "report", narrow.REPORTS)
+        narrow.check_report(self.report, "World.collide")
         _ = self.query  # checks its own
         arguments.choice(self.broad_phase, "broad_phase", broad.BROAD_PHASES)
         arguments.flag(self.overlap, "overlap")
@@ -40,7 +40,7 @@ class SearchOptions:
     def query(self) -> Query:
         """The options of each pass."""
         # Rows are not in the order of ids, which breaks ties.
-        report: narrow.Report = "first" if self.report == "earliest" else self.report
+        report: narrow.SearchReport = "first" if self.report == "earliest" else self.report
         return Query(report, self.min_separation, self.tolerance, self.nonzero_toi, self.initial)
 
     @property

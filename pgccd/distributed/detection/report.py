@@ -10,11 +10,11 @@ from torch import Tensor
 
 from pgccd import arguments, ops
 from pgccd.contacts.contacts import CollidingPairs, Contacts, earliest_row
+from pgccd.contacts.trajectories import TrajectoryContacts
 from pgccd.distributed.comm.exchange import Columns, first_row, make_route, take_rows
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.detection.ids import rows_of
 from pgccd.distributed.detection.share import Share
-from pgccd.search.trajectories import TrajectoryContacts
 
 # What `sum_per_body` adds.
 _SUMMED = (torch.float64, torch.float32, torch.float16, torch.bfloat16)
@@ -100,7 +100,7 @@ def _canonical_order(pairs: Tensor) -> Tensor:
     return by_second[torch.argsort(pairs[by_second, 0], stable=True)]
 
 
-def first_toi_of(id: Tensor, hits: Contacts | CollidingPairs) -> Tensor:
+def first_toi_of(id: Tensor, hits: Contacts) -> Tensor:
     """(N,) float64: the first toi of bodies, or the first `time` of a trajectory; inf without a contact.
 
     Args:
@@ -108,10 +108,8 @@ def first_toi_of(id: Tensor, hits: Contacts | CollidingPairs) -> Tensor:
         hits: with `pairs` in global ids.
 
     Raises:
-        TypeError, ValueError: `hits` are not contacts with toi.
+        TypeError: `hits` are not contacts.
     """
-    if isinstance(hits, CollidingPairs):
-        raise ValueError('hits: report="any" gives no toi')
     if not isinstance(hits, Contacts):
         raise TypeError(f"hits: expected pgccd.Contacts, got {arguments.describe(hits)}")
     first = torch.full((len(id),), torch.inf, dtype=torch.float64, device=id.device)

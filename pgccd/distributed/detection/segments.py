@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from pgccd.contacts.contacts import CollidingPairs, Contacts
+from pgccd.contacts.trajectories import TrajectoryContacts, time_along
 from pgccd.distributed.comm.exchange import Columns
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.detection.report import earliest_for_all, tell_owners
 from pgccd.distributed.detection.share import Share
 from pgccd.distributed.guard import of_all_ranks
 from pgccd.search import narrow
-from pgccd.search.trajectories import TrajectoryContacts, time_along
 
 _MOST_WORLDS, _MOST_IDS = 2**31, 2**62
 
@@ -64,7 +65,7 @@ class Segments:
 
     def contacts_for_owners(
         self, comm: Comm, found: Share, report: narrow.Report, payload: Columns
-    ) -> TrajectoryContacts | CollidingPairs:
+    ) -> TrajectoryContacts:
         """The contacts of the bodies that this rank owns, as `pgccd.detect` returns them for a trajectory.
 
         Args:
@@ -74,26 +75,49 @@ class Segments:
             payload: columns of the bodies of all segments that contacts carry.
         """
         if report == "earliest":
-            return self._of(earliest_for_all(comm, found, self.ids, payload))
-        contacts = self._of(tell_owners(found, payload))
-        if report == "all":
-            return contacts
-        # Stable: the first segment of each pair comes first.
-        by_second = torch.argsort(contacts.pairs[:, 1], stable=True)
-        order = by_second[torch.argsort(contacts.pairs[by_second, 0], stable=True)]
-        pairs = contacts.pairs[order]
-        is_first = torch.ones(len(pairs), dtype=torch.bool, device=pairs.device)
-        is_first[1:] = (pairs[1:] != pairs[:-1]).any(dim=1)
-        chosen = order[is_first]
-        return contacts[chosen]
+            return self._along(earliest_for_all(comm, found, self.ids, payload))
+        contacts = tell_owners(found, payload)
+        assert isinstance(contacts, Contacts)
+        along = self._along(contacts)
+        return along if report == "all" else along[_first_of_pairs(along.pairs)]
 
-    def _of(self, contacts: Contacts | CollidingPairs) -> TrajectoryContacts | CollidingPairs:
+    def pairs_for_owners(self, found: Share, payload: Columns) -> CollidingPairs:
+        """The colliding pairs of the bodies that this rank owns, as `pgccd.collide` returns them for a trajectory.
+
+        Args:
+            found: colliding pairs of the bodies of all segments.
+            payload: as for `contacts_for_owners`.
+        """
+        pairs = tell_owners(found, payload)
+        assert isinstance(pairs, CollidingPairs)
+        pairs = replace(pairs, pairs=self._in_segments(pairs.pairs)[1])
+        return pairs[_first_of_pairs(pairs.pairs)]
+
+    def _along(self, contacts: Contacts) -> TrajectoryContacts:
         """From contacts of the bodies of all segments."""
-        columns: dict[str, Any] = contacts.columns | {"stats": contacts.stats, "payload": contacts.payload}
-        columns["_is_of_rank"] = contacts._is_of_rank
-        segment = torch.div(contacts.pairs[:, 0], self.ids, rounding_mode="floor")
-        columns["pairs"] = contacts.pairs - self.ids * segment[:, None]
-        if isinstance(contacts, CollidingPairs):
-            return CollidingPairs(**columns)
-        time = time_along(segment, contacts.toi, self.count)
-        return TrajectoryContacts(**columns, segment=segment, time=time, _is_earliest=contacts._is_earliest)
+        segment, pairs = self._in_segments(contacts.pairs)
+        columns: dict[str, Any] = contacts.columns | {"pairs": pairs, "segment": segment}
+        return TrajectoryContacts(
+            **columns,
+            time=time_along(segment, contacts.toi, self.count),
+            stats=contacts.stats,
+            payload=contacts.payload,
+            _is_of_rank=contacts._is_of_rank,
+            _is_earliest=contacts._is_earliest,
+        )
+
+    def _in_segments(self, pairs: Tensor) -> tuple[Tensor, Tensor]:
+        """The segments (K,) of pairs (K, 2) of the bodies of all segments, and the pairs of ids (K, 2)."""
+        segment = torch.div(pairs[:, 0], self.ids, rounding_mode="floor")
+        return segment, pairs - self.ids * segment[:, None]
+
+
+def _first_of_pairs(pairs: Tensor) -> Tensor:
+    """The first row of each pair of `pairs` (K, 2), in the order of the pairs."""
+    # Stable: the first segment of each pair comes first.
+    by_second = torch.argsort(pairs[:, 1], stable=True)
+    order = by_second[torch.argsort(pairs[by_second, 0], stable=True)]
+    pairs = pairs[order]
+    is_first = torch.ones(len(pairs), dtype=torch.bool, device=pairs.device)
+    is_first[1:] = (pairs[1:] != pairs[:-1]).any(dim=1)
+    return order[is_first]

@@ -35,7 +35,7 @@ from pgccd.distributed.world.graphs import Committed, ResolvingGraph, WorldGraph
 from pgccd.distributed.world.world import World
 from pgccd.motion.paths import RigidMotion
 from pgccd.resolution.round_plan import RecentRounds
-from pgccd.search.sizes import COUNT_ROWS
+from pgccd.runtime.sizes import COUNT_ROWS
 
 
 class CapturedWorld(RankSteps[WorldStep, Committed, "WorldGraph"]):
@@ -90,7 +90,7 @@ class CapturedWorld(RankSteps[WorldStep, Committed, "WorldGraph"]):
 
     def __init__(
         self,
-        world: World[Contacts],
+        world: World,
         motion: Motion,
         response: Response,
         graph: bool | None = None,

@@ -11,7 +11,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from pgccd.contacts.contacts import Contacts
 from pgccd.distributed.comm.exchange import Columns
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.comm.peer_memory import RowsOfRanks
@@ -41,10 +40,10 @@ from pgccd.motion.validation import LARGEST_COORDINATE
 from pgccd.resolution.counts import SearchCounts
 from pgccd.resolution.rounds import Attempt, ids_of
 from pgccd.runtime.replayed_steps import GRAPH_SLACK
+from pgccd.runtime.sizes import COUNT_ROWS, busy_nanoseconds, overflow_flags
 from pgccd.runtime.stages import StageClock
 from pgccd.runtime.transaction import TransactionGraph
 from pgccd.search.bodies import MovingBodies
-from pgccd.search.sizes import COUNT_ROWS, busy_nanoseconds, overflow_flags
 
 T = TypeVar("T")
 
@@ -106,7 +105,7 @@ class WorldGraph(TransactionGraph[Committed]):
 
     def __init__(
         self,
-        world: World[Contacts],
+        world: World,
         motion: Motion,
         response: Response,
         tally: Tally | None,

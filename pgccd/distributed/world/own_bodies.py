@@ -48,7 +48,7 @@ class OwnBodies:
         columns = {} if self._vertices is None else self._vertices.columns
         return {name[1:]: column for name, column in columns.items()}
 
-    def first_toi(self, hits: Contacts | CollidingPairs) -> Tensor:
+    def first_toi(self, hits: Contacts) -> Tensor:
         """(N,) float64: the first toi of each own body, or the first `time` of a trajectory; inf without a contact.
 
         Args:
@@ -81,7 +81,7 @@ class OwnBodies:
         The terms are added in the order of the contacts: the bits do not depend on the number of ranks or the device.
 
         Args:
-            hits: as returned by `step`.
+            hits: as returned by `step` or `collide`.
             values: (K, 2, ...) floating-point numbers of 16 bits or more: what each contact adds to i, and to j.
 
         Returns:

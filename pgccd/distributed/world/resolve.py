@@ -12,7 +12,7 @@ pair tells the owners of its bodies, which apply the rule.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any, Generic, cast
+from typing import Any, ClassVar, Generic, cast
 
 import torch
 from torch import Tensor
@@ -37,10 +37,10 @@ from pgccd.resolution.round_plan import RoundPlan
 from pgccd.resolution.rounds import Exchange, Found, RoundSearch, resolve_collisions
 from pgccd.resolution.search import at_rest, shortened
 from pgccd.resolution.stoppers import Stoppers
+from pgccd.runtime.sizes import BufferSizes
 from pgccd.runtime.stages import StageClock
 from pgccd.search.bodies import MovingBodies
 from pgccd.search.passes import SearchPass, pairs_of_rounds, search_seconds
-from pgccd.search.sizes import BufferSizes
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -59,6 +59,8 @@ class WorldResolution(Resolution[M], Generic[M]):
     """
 
     hits: Contacts
+
+    _parts: ClassVar[tuple[str, ...]] = ("motion", "hits")
 
 
 @dataclass

@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import partial
 from os import PathLike
 from pathlib import Path
-from typing import Any, Generic, Literal, Never, TypeVar, Unpack, overload
+from typing import Any, Literal, Never, Unpack, overload
 
 import torch
 from torch import Tensor
@@ -15,6 +15,7 @@ from torch import Tensor
 from pgccd import arguments
 from pgccd.checkpoint.files import KEEP
 from pgccd.contacts.contacts import CollidingPairs, Contacts
+from pgccd.contacts.trajectories import TrajectoryContacts
 from pgccd.distributed.comm.exchange import Columns, take_rows
 from pgccd.distributed.comm.interface import Alone, Comm
 from pgccd.distributed.detection.excluded import Excluded
@@ -40,7 +41,7 @@ from pgccd.distributed.world.columns import (
     scene_columns,
     scene_of,
 )
-from pgccd.distributed.world.options import Movable, Names, NewBodies, NewWorld, WorldOptions
+from pgccd.distributed.world.options import Movable, Names, NewBodies
 from pgccd.distributed.world.own_bodies import OwnBodies
 from pgccd.distributed.world.population import with_more, without
 from pgccd.distributed.world.resolve import (
@@ -67,12 +68,9 @@ from pgccd.search.bodies import MovingBodies
 from pgccd.search.broad import BroadPhase
 from pgccd.search.checks import Initial
 from pgccd.search.passes import search_seconds
-from pgccd.search.trajectories import TrajectoryContacts
-
-R = TypeVar("R", bound=Contacts | CollidingPairs)
 
 
-class World(OwnBodies, Generic[R]):
+class World(OwnBodies):
     """Bodies distributed over ranks by position. Made by `create` or `load`, on all ranks together.
 
     Bodies migrate to the rank that owns the cell of their position, at the beginning and after each `move`. Rows of
@@ -84,7 +82,8 @@ class World(OwnBodies, Generic[R]):
         path: of the motions of rigid bodies: "rigid" or "linear", as of `RigidMotion`.
         census: number and sum of the ids of all bodies, which migration preserves.
         columns: of this rank's own bodies, by name; names of the payload begin with ".".
-        steps_made: number of calls of `step`. A loop that searches a step several times has to count its own steps.
+        steps_made: number of calls of `step` and `collide`. A loop that searches a step several times has to count its
+            own steps.
         next_id: larger than all ids that bodies of this world have had; new bodies may have this one or larger ones.
         found: pairs and contacts of the last step; None before the first.
 
@@ -116,42 +115,6 @@ class World(OwnBodies, Generic[R]):
         self.columns, self._vertices, self.next_id = state.columns, state.vertices, state.next_id
         self._resolution_plan = ResolutionPlan()
 
-    @overload
-    @classmethod
-    def create(
-        cls,
-        meshes: Sequence[Mesh],
-        lower: Point,
-        upper: Point,
-        position: Tensor,
-        *,
-        report: narrow.ContactReport = "first",
-        **options: Unpack[NewWorld],
-    ) -> World[Contacts]: ...
-    @overload
-    @classmethod
-    def create(
-        cls,
-        meshes: Sequence[Mesh],
-        lower: Point,
-        upper: Point,
-        position: Tensor,
-        *,
-        report: Literal["any"],
-        **options: Unpack[NewWorld],
-    ) -> World[CollidingPairs]: ...
-    @overload
-    @classmethod
-    def create(
-        cls,
-        meshes: Sequence[Mesh],
-        lower: Point,
-        upper: Point,
-        position: Tensor,
-        *,
-        report: narrow.Report,
-        **options: Unpack[NewWorld],
-    ) -> World[Contacts | CollidingPairs]: ...
     @classmethod
     @collective
     def create(
@@ -185,7 +148,7 @@ class World(OwnBodies, Generic[R]):
         cells: int | Triple = DEFAULT_CELLS,
         balance: BalanceOptions | None = None,
         overlap: bool = True,
-    ) -> World[Any]:
+    ) -> World:
         """Makes a world of any share of the bodies from each rank.
 
         Args:
@@ -229,7 +192,7 @@ class World(OwnBodies, Generic[R]):
     @classmethod
     def _begin(
         cls, comm: Comm, options: SearchOptions, balance: BalanceOptions, path: PathKind, state: WorldState
-    ) -> World[Any]:
+    ) -> World:
         ascending = torch.argsort(state.columns["id"])
         vertices = None if state.vertices is None else state.vertices.take(ascending)
         state = replace(state, columns=take_rows(state.columns, ascending), vertices=vertices)
@@ -238,39 +201,6 @@ class World(OwnBodies, Generic[R]):
         world._change_hands()
         return world
 
-    @overload
-    @classmethod
-    def load(
-        cls,
-        folder: str | PathLike[str],
-        meshes: Sequence[Mesh],
-        *,
-        device: torch.device | str = "cpu",
-        report: narrow.ContactReport = "first",
-        **options: Unpack[WorldOptions],
-    ) -> World[Contacts]: ...
-    @overload
-    @classmethod
-    def load(
-        cls,
-        folder: str | PathLike[str],
-        meshes: Sequence[Mesh],
-        *,
-        device: torch.device | str = "cpu",
-        report: Literal["any"],
-        **options: Unpack[WorldOptions],
-    ) -> World[CollidingPairs]: ...
-    @overload
-    @classmethod
-    def load(
-        cls,
-        folder: str | PathLike[str],
-        meshes: Sequence[Mesh],
-        *,
-        device: torch.device | str = "cpu",
-        report: narrow.Report,
-        **options: Unpack[WorldOptions],
-    ) -> World[Contacts | CollidingPairs]: ...
     @classmethod
     @collective
     def load(
@@ -289,7 +219,7 @@ class World(OwnBodies, Generic[R]):
         path: PathKind = "rigid",
         balance: BalanceOptions | None = None,
         overlap: bool = True,
-    ) -> World[Any]:
+    ) -> World:
         """Restores the newest checkpoint in a folder, see `save`. The steps that follow are bitwise identical to those
         of the saved world.
 
@@ -366,19 +296,11 @@ class World(OwnBodies, Generic[R]):
     @overload
     def step(
         self, motion: RigidMotion | VertexMotion, *, payload: Names = (), resolve: Literal[False] = False
-    ) -> R: ...
-    @overload
-    def step(
-        self: World[Contacts], motion: Trajectory, *, payload: Names = (), resolve: Literal[False] = False
-    ) -> TrajectoryContacts: ...
-    @overload
-    def step(
-        self: World[CollidingPairs], motion: Trajectory, *, payload: Names = (), resolve: Literal[False] = False
-    ) -> CollidingPairs: ...
+    ) -> Contacts: ...
     @overload
     def step(
         self, motion: Trajectory, *, payload: Names = (), resolve: Literal[False] = False
-    ) -> TrajectoryContacts | CollidingPairs: ...
+    ) -> TrajectoryContacts: ...
     @overload
     def step(
         self, motion: M, *, payload: Names = (), resolve: Literal[True], movable: Movable = None
@@ -393,7 +315,7 @@ class World(OwnBodies, Generic[R]):
         payload: Names = (),
         resolve: bool = False,
         movable: Movable = None,
-    ) -> Contacts | CollidingPairs | WorldResolution[Any] | TrajectoryResolution:
+    ) -> Contacts | WorldResolution[Any] | TrajectoryResolution:
         """Finds the collisions of one step, or of all steps of a trajectory; or how far the bodies can move without
         any.
 
@@ -414,9 +336,9 @@ class World(OwnBodies, Generic[R]):
         Returns:
             All contacts of this rank's own bodies, `pairs` in global ids i < j (i, i for a body with itself), sorted.
             `payload[name]` are (K, 2, ...): of i, then of j, whichever ranks own them. For a trajectory
-            `TrajectoryContacts`, and with report="any" `CollidingPairs`, as from `pgccd.detect`. `stats` are those of
-            the pairs that this rank tested. With `resolve`, a `WorldResolution`, whose `hits` carry the payload; of a
-            trajectory a `pgccd.TrajectoryResolution`, of this rank's own bodies and in global ids.
+            `TrajectoryContacts`, as from `pgccd.detect`. `stats` are those of the pairs that this rank tested. With
+            `resolve`, a `WorldResolution`, whose `hits` carry the payload; of a trajectory a
+            `pgccd.TrajectoryResolution`, of this rank's own bodies and in global ids.
 
         Raises:
             TypeError: the motion is of another type, or `payload` no names; on all ranks.
@@ -450,23 +372,66 @@ class World(OwnBodies, Generic[R]):
         carried = {name: self.columns[name] for name in agree_on_step(self.comm, settings)["payload"]}
         if resolve:
             return self._resolve(motion, fixed, carried)
+        report: Any = self.options.report
         if isinstance(motion, Trajectory):
-            own = scene_columns(self.columns)
-            segments = Segments.agreed(self.comm, motion.segment_count, own)
-            own, carried = segments.repeat(own), segments.repeat_rows(carried)
-            if (margin := motion._margins(own.get("margin"), len(self.id))) is not None:
-                own["margin"] = margin
             # The earliest is selected from the first contacts of all segments.
-            report: narrow.Report = "first" if self.options.report == "earliest" else self.options.report
-            excluded = self.options.excluded
-            excluded = None if excluded is None else excluded.in_segments(segments.ids)
-            options = replace(self.options, report=report, excluded=excluded)
-            share = self._search(own["id"], scene_of(self._meshes, own), motion.steps(), options, carried)
-            return segments.contacts_for_owners(self.comm, share, self.options.report, carried)
+            of_segments = replace(self.options, report="first") if report == "earliest" else self.options
+            segments, share, carried = self._search_segments(motion, of_segments, carried)
+            return segments.contacts_for_owners(self.comm, share, report, carried)
         share = self._search(self.id, scene, motion, self.options, carried)
-        if self.options.report == "earliest":
+        if report == "earliest":
             return earliest_for_all(self.comm, share, payload=carried)
-        return tell_owners(share, carried)
+        contacts = tell_owners(share, carried)
+        assert isinstance(contacts, Contacts)
+        return contacts
+
+    @collective
+    def collide(self, motion: RigidMotion | VertexMotion | Trajectory, *, payload: Names = ()) -> CollidingPairs:
+        """Finds the pairs of bodies that collide during one step, or in any step of a trajectory, as `pgccd.collide`
+        does: with the world's min_separation, tolerance, initial and broad phase. It counts as a step.
+
+        Args:
+            motion, payload: as for `step`.
+
+        Returns:
+            All pairs of this rank's own bodies, in global ids i < j (i, i for a body with itself), sorted; a pair of
+            bodies of two ranks on both. `payload` and `stats` as of `step`.
+
+        Raises:
+            TypeError, ValueError: as for `step`.
+
+        Example:
+            >>> colliding = world.collide(motion)
+            >>> colliding.pairs, colliding.stats
+        """
+        self.comm.guard.activity = "step"
+
+        def settings() -> dict[str, Any]:
+            facts = motion_facts(motion, self.path, self._meshes, self.mesh_index)
+            return facts | {"payload": payload_asked(payload, self.columns)}
+
+        carried = {name: self.columns[name] for name in agree_on_step(self.comm, settings)["payload"]}
+        options = replace(self.options, report="any", nonzero_toi=False)
+        if isinstance(motion, Trajectory):
+            segments, share, carried = self._search_segments(motion, options, carried)
+            return segments.pairs_for_owners(share, carried)
+        pairs = tell_owners(self._search(self.id, self._current_scene(), motion, options, carried), carried)
+        assert isinstance(pairs, CollidingPairs)
+        return pairs
+
+    def _search_segments(
+        self, motion: Trajectory, options: SearchOptions, carried: Columns
+    ) -> tuple[Segments, Share, Columns]:
+        """Searches all segments of a trajectory; returns the payload of the bodies of all segments too."""
+        own = scene_columns(self.columns)
+        segments = Segments.agreed(self.comm, motion.segment_count, own)
+        own, carried = segments.repeat(own), segments.repeat_rows(carried)
+        if (margin := motion._margins(own.get("margin"), len(self.id))) is not None:
+            own["margin"] = margin
+        if options.excluded is not None:
+            options = replace(options, excluded=options.excluded.in_segments(segments.ids))
+        share = self._search(own["id"], scene_of(self._meshes, own), motion.steps(), options, carried)
+        return segments, share, carried
 
     def _resolve(
         self, motion: Any, fixed: Tensor | None, carried: Columns
