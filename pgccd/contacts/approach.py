@@ -20,7 +20,7 @@ from pgccd.contacts.contacts import Contacts
 from pgccd.contacts.gradients import corner_points
 from pgccd.contacts.kinds import FACE, Kind, Status
 from pgccd.contacts.normals import surface_normals
-from pgccd.contacts.sites import Sites, reduced
+from pgccd.contacts.sites import Sites, on_cpu, reduced
 from pgccd.geometry.incidence import Lists
 from pgccd.geometry.scene import Scene
 from pgccd.motion.differentiable import with_gradient_of
@@ -35,6 +35,8 @@ from pgccd.search.trajectories import TrajectoryContacts, segments_as_step
 _WINDOWS = 16
 # Rounding of the expressions below, relative to the sum of what they add up.
 _ROUNDING = 2.0**-46
+# Faces around contacts that are tested together.
+_MOST_SETS = 1 << 14
 # Faces around a feature whose normals are tried as directions.
 _MOST_FACES = 8
 # Sine of the angle between directions and a plane within which they may be rounded.
@@ -84,26 +86,51 @@ def approach_rates(scene: Scene, motion: RigidMotion | VertexMotion | Trajectory
     return with_gradient_of(rate, torch.where(hits.differentiable, expression, 0.0), "approach")
 
 
-def recede(
-    scene: Scene,
-    motion: RigidMotion | VertexMotion | Trajectory,
-    hits: Contacts,
-    slack: float | None,
-) -> Tensor:
-    """(K,) bool: contacts whose features, and the surfaces around them, certainly come closer by at most `slack` in the
-    rest of the step; None: 1e-6 of the smaller SBV radius. Synchronises.
+@dataclass
+class Recession:
+    """The proof that contacts recede: their features, and the surfaces around them, certainly come closer by at most
+    `slack` in the rest of the step.
+
+    Attributes:
+        scene, motion: on the CPU, without gradients.
+        slack: (N,), of each body; the smaller one of two counts.
     """
-    copies, steps, bodies = moving_bodies(scene, motion, hits)
-    with torch.no_grad():
-        copies, steps = copies._detached(), steps._detached()
-        if slack is None:
-            slacks = RELATIVE_TOLERANCE * copies._current_radius()[bodies].amin(1)
-        else:
-            slacks = torch.full((len(bodies),), slack, dtype=torch.float64, device=bodies.device)
-        sites = Sites.of(hits, copies, steps, bodies)
-        _require_same_paths(sites)
-        columns = (hits.normal.detach(), hits.status, slacks)
-        return _recedes(sites, *(column.cpu() for column in columns)).to(bodies.device)
+
+    scene: Scene
+    motion: RigidMotion | VertexMotion
+    slack: Tensor
+
+    @classmethod
+    def of(cls, scene: Scene, motion: RigidMotion | VertexMotion, slack: float | None) -> Recession:
+        """Of bodies; slack None: 1e-6 of the SBV radius."""
+        radius = scene._detached()._current_radius()
+        slacks = RELATIVE_TOLERANCE * radius if slack is None else torch.full_like(radius, slack)
+        return cls(*on_cpu(scene._detached(), motion._detached()), slacks.cpu())
+
+    def is_certain(self, contacts: Contacts, bodies: Tensor, refuses_others: bool = False) -> Tensor:
+        """(K,) bool: contacts of bodies (K, 2) that recede. Synchronises with a GPU.
+
+        Raises:
+            ValueError: `refuses_others`, and the contacts are those of another scene or motion.
+        """
+        sites = Sites.of(contacts, self.scene, self.motion, bodies)
+        if refuses_others:
+            _require_same_paths(sites)
+        columns = (contacts.normal.detach().cpu(), contacts.status.cpu(), self.slack[sites.bodies].amin(1))
+        parts = [_recedes(sites[rows], *(column[rows] for column in columns)) for rows in _parts(sites)]
+        return torch.cat(parts).to(bodies.device) if parts else torch.zeros_like(bodies[:, 0], dtype=torch.bool)
+
+
+def _parts(sites: Sites) -> Iterator[slice]:
+    """Contacts that are tested together, so that memory is bounded: slices of rows."""
+    faces = sites.face_counts()
+    total = (1 + faces[:, 0] + faces[:, 1]).cumsum(0)
+    begin = 0
+    while begin < len(sites):
+        before = int(total[begin - 1]) if begin else 0
+        end = max(begin + 1, int(torch.searchsorted(total, before + _MOST_SETS, right=True)))
+        yield slice(begin, end)
+        begin = end
 
 
 def moving_bodies(

@@ -28,6 +28,15 @@ def reduced(values: Tensor, owner: Tensor, count: int, how: str, without: float)
     return start.scatter_reduce(0, owner, values, how)
 
 
+def on_cpu(scene: Scene, motion: RigidMotion | VertexMotion) -> tuple[Scene, RigidMotion | VertexMotion]:
+    """The scene and the motion on the CPU: themselves, or copies. The meshes are copied once."""
+    if scene.device.type != "cpu":
+        meshes = scene.meshes._on_cpu
+        scene, motion = scene.to("cpu"), motion.to("cpu")
+        scene.meshes = meshes
+    return scene, motion
+
+
 @dataclass
 class Sites:
     """K contacts of bodies on their paths. Vertices, faces and edges are rows of the meshes' concatenated tensors.
@@ -71,10 +80,7 @@ class Sites:
         """Of contacts of bodies (K, 2), on the CPU: on a GPU decisions near rounding could be others. Synchronises with
         a GPU, and copies the scene and the motion from there.
         """
-        if scene.device.type != "cpu":
-            meshes = scene.meshes._on_cpu
-            scene, motion = scene.to("cpu"), motion.to("cpu")
-            scene.meshes = meshes
+        scene, motion = on_cpu(scene, motion)
         columns = (contacts.kind, contacts.features, contacts.coordinates, contacts.toi, contacts.point)
         return cls(scene, motion, bodies.cpu(), *(column.detach().cpu() for column in columns))
 
@@ -227,6 +233,17 @@ class Sites:
             faces.append(items)
         chosen = torch.nonzero(what == FACE)[:, 0]
         return torch.cat([*owners, chosen]), torch.cat([*faces, row[chosen]])
+
+    def face_counts(self) -> Tensor:
+        """(K, 2): how many faces `faces_around` gives of what the nearest points lie on."""
+        of_vertex, of_edge = (lists.begin for lists in (self.incidence.faces_of_vertex, self.incidence.faces_of_edge))
+        counts = []
+        for side in (0, 1):
+            what, row = self.supports(side)
+            vertex, edge = torch.where(what == VERTEX, row, 0), torch.where(what == EDGE, row, 0)
+            around = torch.where(what == VERTEX, of_vertex[vertex + 1] - of_vertex[vertex], 1)
+            counts.append(torch.where(what == EDGE, of_edge[edge + 1] - of_edge[edge], around))
+        return torch.stack(counts, 1)
 
     def offset(self) -> tuple[Tensor, Tensor]:
         """From the nearest point of i to that of j at toi (K, 3), and a length below which it may be rounding (K,)."""

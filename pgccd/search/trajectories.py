@@ -132,10 +132,10 @@ def detect_trajectory(
         bodies = torch.unique(bodies, dim=0) if len(bodies) else bodies
         stats = replace(found.stats, bodies=scene.body_count, needed=None, contacts=len(bodies))
         return CollidingPairs(pairs=bodies, stats=stats, scene=scene)
-    return _of_trajectory(found, scene, trajectory.segment_count, query.report)
+    return of_trajectory(found, scene, trajectory.segment_count, query.report)
 
 
-def _of_trajectory(found: Contacts, scene: Scene, segments: int, report: narrow.Report) -> TrajectoryContacts:
+def of_trajectory(found: Contacts, scene: Scene, segments: int, report: narrow.Report) -> TrajectoryContacts:
     """Contacts along a trajectory, from those of all its segments."""
     count = scene.body_count
     segment, pairs = in_scene(found.pairs, count)
