@@ -36,7 +36,7 @@ _WINDOWS = 16
 # Rounding of the expressions below, relative to the sum of what they add up.
 _ROUNDING = 2.0**-46
 # Pairs of sets that are tested together.
-_MOST_SETS = 1 << 14
+_MOST_SETS = 1 << 13
 # Faces around a feature whose normals are tried as directions.
 _MOST_FACES = 8
 # Bound of rounding, relative to all sizes, of distances that are not further examined.
@@ -236,9 +236,9 @@ def _surroundings_recede(sites: Sites, normal: Tensor, offset: Tensor, noise: Te
         """(m,) bool: of pairs of sets (m,) those that stay apart along some direction."""
         place, corners = owner[rows], (one[rows], other[rows])
         sets = _Sets.of(sites, place, *corners)
-        directions = [normal[place], *(_face_normals(sites, k, place, corners[k]) for k in (0, 1))]
-        directions += [each for side in around for each in _in_turn(side, place)]
-        directions = torch.stack([of_surface[place], *(sign * each for each in directions for sign in (1.0, -1.0))], 1)
+        tried = [normal[place], *(_face_normals(sites, k, place, corners[k]) for k in (0, 1))]
+        tried += [each for side in around for each in _in_turn(side, place)]
+        directions = torch.stack([of_surface[place], *(sign * each for each in tried for sign in (1.0, -1.0))], 1)
         # Not from the other side, if the features are on one.
         is_open = (norm(directions) > 0.0) & (dot(directions, offset[place][:, None]) >= -noise[place][:, None])
         is_open &= sets.may_stay(directions, gap[place] - slack[place])
@@ -331,7 +331,7 @@ def _height(sites: Sites, side: int, offset: Tensor, normal: Tensor) -> Tensor:
     if isinstance(sites.motion, VertexMotion):  # whose positions are relative to it
         places.append(sites.point)
     group, first = groups_of(*places)
-    owner, face = sites.faces_around(*(column[first] for column in supports))
+    owner, face = sites.faces_around(supports[0][first], supports[1][first])
     owner = first[owner]
     ends = [sites.arms(side, owner, corner) - base[owner] for corner in sites.incidence.faces[face].unbind(1)]
     across = cross(ends[1] - ends[0], ends[2] - ends[0])
@@ -387,8 +387,9 @@ class _Paths:
 
     def along(self, direction: Tensor) -> _Along:
         """Along directions (n, 3)."""
-        columns = (dot(direction[:, None], each) for each in (self.constant, self.rate, self.cosine, self.sine))
-        return _Along(*columns, self.angle.expand(-1, 3))
+        columns = (self.constant, self.rate, self.cosine, self.sine)
+        constant, rate, cosine, sine = (dot(direction[:, None], each) for each in columns)
+        return _Along(constant, rate, cosine, sine, self.angle.expand(-1, 3))
 
     def at(self, time: Tensor) -> Tensor:
         """(n, 3, 3): at times (n,)."""
@@ -426,8 +427,9 @@ class _Sets:
     @classmethod
     def of(cls, sites: Sites, owner: Tensor, one: Tensor, other: Tensor) -> _Sets:
         """Of vertices (n, 3) of i and of j."""
-        columns = (each[owner] for each in (sites.toi, sites.turns, *sites.travel()))
-        return cls(owner, *columns, *(_Paths.of(sites, k, owner, (one, other)[k]) for k in (0, 1)))
+        toi, turns, between, change = (each[owner] for each in (sites.toi, sites.turns, *sites.travel()))
+        paths = (_Paths.of(sites, 0, owner, one), _Paths.of(sites, 1, owner, other))
+        return cls(owner, toi, turns, between, change, *paths)
 
     def __getitem__(self, rows: Tensor) -> _Sets:
         return _Sets(*(getattr(self, each.name)[rows] for each in fields(self)))

@@ -119,7 +119,7 @@ def surface_normals(sites: Sites, normal: Tensor) -> Tensor:
     # Parallel edges that coincide have no normal.
     normal = torch.where((norm(normal) > 0.0)[:, None], normal, -unit_or_zero(some.velocity()))
     offset, noise = some.offset()
-    # No height above a face exceeds the noise there.
+    # Otherwise no height above a face exceeds the noise.
     apart = norm(offset) > 0.5 * noise
     offset, noise = torch.where(apart[:, None], offset, 0.0), torch.where(apart, noise, 0.0)
     places = [some.bodies, some.toi, offset, noise]

@@ -95,8 +95,8 @@ class Sites:
         columns = (contacts.kind, contacts.features, contacts.coordinates, contacts.toi, contacts.point)
         return cls(scene, motion, bodies.cpu(), *(column.detach().cpu() for column in columns))
 
-    def __getitem__(self, rows: Tensor) -> Sites:
-        """Some of the contacts: a mask (K,) or row numbers."""
+    def __getitem__(self, rows: Tensor | slice) -> Sites:
+        """Some of the contacts: a mask (K,), row numbers or a slice."""
         columns = (self.bodies, self.kind, self.features, self.coordinates, self.toi, self.point)
         return Sites(self.scene, self.motion, *(column[rows] for column in columns))
 

@@ -217,9 +217,9 @@ class _Search:
         operands, settings = self.bodies.operands, self.query.settings
         tests_start = self.query.tests_start
         candidates, _ = ops.traverse(operands, pairs, until, *settings[:2], tests_start)
-        place, *rows = ops.narrow(operands, pairs, candidates, *settings, narrow.REPORTS["all"])
-        place = place.long()
-        contacts: Any = contacts_of((pairs[place], *rows), "all", Stats(bodies=len(self.recession.slack)))
+        rows = ops.narrow(operands, pairs, candidates, *settings, narrow.REPORTS["all"])
+        place = rows[0].long()
+        contacts: Any = contacts_of((pairs[place], *rows[1:]), "all", Stats(bodies=len(self.recession.slack)))
         order = torch.nonzero(contacts.toi <= until[place])[:, 0]
         order = order[torch.argsort(contacts.toi[order], stable=True)]
         order = order[torch.argsort(place[order], stable=True)]
