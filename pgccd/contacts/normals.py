@@ -7,6 +7,7 @@ convex edge all between those of its two faces, elsewhere those of the faces alo
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -14,13 +15,17 @@ import torch
 from torch import Tensor
 
 from pgccd.contacts.kinds import EDGE, FACE, VERTEX, Kind
-from pgccd.contacts.sites import Sites, reduced
+from pgccd.contacts.sites import Sites, groups_of, reduced
+from pgccd.geometry.incidence import Lists
 from pgccd.motion.differentiable import sum_by_row
+from pgccd.motion.paths import VertexMotion
 from pgccd.motion.vectors import cross, dot, norm, unit_or_zero
 
 Normals = Literal["features", "surface"]
 NORMALS = ("features", "surface")
 
+# Faces, and pairs of faces of both sides, that are examined together.
+_MOST_FACES = 1 << 17
 # Sines of angles below which faces count as coplanar, and points as in a plane.
 _FLAT = 1e-5
 # A point is at a corner of a face if it is nearer to it than this part of the distance to the farthest one.
@@ -99,6 +104,8 @@ def _wound(corners: Tensor) -> Tensor:
 def surface_normals(sites: Sites, normal: Tensor) -> Tensor:
     """(K, 3): normals of the surfaces from i to j; see `pgccd.detect`.
 
+    Where vertices of many faces meet, hundreds of contacts have the same surfaces. These are examined once.
+
     Args:
         sites: the contacts.
         normal: (K, 3), of their features.
@@ -106,28 +113,89 @@ def surface_normals(sites: Sites, normal: Tensor) -> Tensor:
     rows = torch.nonzero(sites.kind <= Kind.EE)[:, 0]
     if len(rows) == 0:
         return normal
-    some = sites if len(rows) == len(sites) else sites[rows]
-    return normal.index_copy(0, rows, _of_all(some, normal[rows]))
-
-
-def _of_all(sites: Sites, normal: Tensor) -> Tensor:
-    normal = torch.where(sites.is_reversed(normal)[:, None], -normal, normal)
+    some, found = sites[rows], normal.clone()
+    normal = normal[rows]
+    normal = torch.where(some.is_reversed(normal)[:, None], -normal, normal)
     # Parallel edges that coincide have no normal.
-    normal = torch.where((norm(normal) > 0.0)[:, None], normal, -unit_or_zero(sites.velocity()))
-    sides = (_Side.of(sites, 0), _Side.of(sites, 1))
-    offset, noise = sites.offset()
-    surfaces = [_Surface.of(sites, sides[k], sides[1 - k], offset, noise, normal) for k in (0, 1)]
+    normal = torch.where((norm(normal) > 0.0)[:, None], normal, -unit_or_zero(some.velocity()))
+    offset, noise = some.offset()
+    # Otherwise no height above a face exceeds the noise.
+    apart = norm(offset) > 0.5 * noise
+    offset, noise = torch.where(apart[:, None], offset, 0.0), torch.where(apart, noise, 0.0)
+    places = [some.bodies, some.toi, offset, noise]
+    supports = [some.supports(side) for side in (0, 1)]
+    faces = torch.stack([some.face_counts(*each) for each in supports], 1)
+    for side in (0, 1):
+        places += [*supports[side], some.nearest(side)]
+    if isinstance(some.motion, VertexMotion):  # whose positions are relative to it
+        places.append(some.point)
+    left = torch.arange(len(rows), device=rows.device)
+    for columns in (places, [*places, normal]):
+        group, first = groups_of(*(column[left] for column in columns))
+        is_done = torch.zeros_like(left, dtype=torch.bool)
+        for members, begin, end in _parts(faces[left[first]], group):
+            chosen, heads = left[members], left[first[begin:end]]
+            result, is_sound = _of_groups(
+                some[heads], offset[heads], noise[heads], normal[heads], normal[chosen], group[members] - begin
+            )
+            found[rows[chosen]], is_done[members] = result, is_sound
+        left = left[~is_done]
+        if len(left) == 0:
+            break
+    return found
+
+
+def _parts(faces: Tensor, group: Tensor) -> Iterator[tuple[Tensor, int, int]]:
+    """Groups of contacts that are examined together, so that memory is bounded: their contacts, ascending by group, and
+    the range of groups.
+
+    Args:
+        faces: (G, 2), of each side.
+        group: (K,) of each contact.
+    """
+    members = torch.argsort(group, stable=True)
+    begin = torch.searchsorted(group[members], torch.arange(len(faces) + 1, device=group.device))
+    total = (faces.prod(1) + faces.sum(1) * (1 + begin[1:] - begin[:-1])).cumsum(0)
+    first = 0
+    while first < len(faces):
+        before = int(total[first - 1]) if first else 0
+        last = max(first + 1, int(torch.searchsorted(total, before + _MOST_FACES, right=True)))
+        yield members[int(begin[first]) : int(begin[last])], first, last
+        first = last
+
+
+def _of_groups(
+    places: Sites, offset: Tensor, noise: Tensor, of_places: Tensor, normal: Tensor, group: Tensor
+) -> tuple[Tensor, Tensor]:
+    """(K, 3): normals of the surfaces, and whether they do not depend on the normal `of_places` (K,).
+
+    Args:
+        places: one contact of each group, whose surfaces are equal.
+        offset, noise: (G, 3) and (G,), see `Sites.offset`.
+        of_places: (G, 3), a normal of the features of each group.
+        normal: (K, 3), of the features.
+        group: (K,) of each contact.
+    """
+    sides = (_Side.of(places, 0), _Side.of(places, 1))
+    surfaces = [_Surface.of(places, sides[k], sides[1 - k], offset, noise, of_places) for k in (0, 1)]
     one, other = surfaces
+    is_sound = ~(one.is_guessed | other.is_guessed)[group] | (normal == of_places[group]).all(1)
     # Vertices that coincide have no direction of their own.
     coincide = (norm(offset) <= noise) & (sides[0].what == VERTEX) & (sides[1].what == VERTEX)
     mean = unit_or_zero(one.mean() + other.mean())
-    normal = torch.where((coincide & one.admits(mean) & other.admits(mean))[:, None], mean, normal)
-    by_other = other.nearest(one.nearest(normal))
-    by_one = one.nearest(other.nearest(normal))
+    has_mean = coincide & one.admits(mean) & other.admits(mean)
+    normal = torch.where(has_mean[group][:, None], mean[group], normal)
     # A surface with few directions has the last word; of two that are flat there, the one with the larger face.
     is_larger = one.largest_face() > other.largest_face()
     last_is_one = one.is_rigid & (~other.is_rigid | is_larger) & (sides[1].what != FACE)
-    return torch.where((last_is_one | (sides[0].what == FACE))[:, None], by_one, by_other)
+    last_is_one = last_is_one | (sides[0].what == FACE)
+    row, first = groups_of(group, normal)
+    group, normal = group[first], normal[first]
+    if len(group) != len(noise):
+        one, other = one.of_groups(group), other.of_groups(group)
+    by_other = other.nearest(one.nearest(normal))
+    by_one = one.nearest(other.nearest(normal))
+    return torch.where(last_is_one[group][:, None], by_one, by_other)[row], is_sound
 
 
 @dataclass
@@ -143,6 +211,7 @@ class _Surface:
         edge_away: (n, 2, 3) of each the points of its faces that are not on it, relative to the contact; of an edge
             with one face twice the same.
         is_rigid: (K,) bool: no convex edge.
+        is_guessed: (K,) bool: on which side the surface is, only the normal of the features says.
     """
 
     side: int
@@ -153,16 +222,20 @@ class _Surface:
     along: Tensor
     edge_away: Tensor
     is_rigid: Tensor
+    is_guessed: Tensor
 
     @classmethod
     def of(cls, sites: Sites, own: _Side, other: _Side, offset: Tensor, noise: Tensor, normal: Tensor) -> _Surface:
         outside = -1.0 if own.side == 1 else 1.0
+        is_guessed = torch.zeros(len(sites), dtype=torch.bool, device=offset.device)
 
         def oriented(owner: Tensor, face: Tensor, corners: Tensor) -> Tensor:
             """Unit normals (m, 3) from i to j."""
             wound = _wound(corners)
-            out = outside * _sign_out(sites, own, other, owner, face, wound, offset, noise, outside * normal)
-            return out[:, None] * wound
+            sign = _sign_out(sites, own, other, owner, face, wound, offset, noise)
+            is_guessed[owner[(sign == 0.0) & (norm(wound) > 0.0)]] = True
+            sign = torch.where(sign == 0.0, torch.sign(dot(outside * normal[owner], wound)), sign)
+            return (outside * torch.where(sign == 0.0, 1.0, sign))[:, None] * wound
 
         normals = oriented(own.owner, own.face, own.away)
         edge_owner, edge = _edges_around(sites, own)
@@ -170,7 +243,16 @@ class _Surface:
         kept = torch.nonzero(is_convex)[:, 0]
         edge_owner = edge_owner[kept]
         is_rigid = torch.ones(len(sites), dtype=torch.bool, device=offset.device).index_fill(0, edge_owner, False)
-        return cls(own.side, own.owner, normals, own.away, edge_owner, along[kept], apexes[kept], is_rigid)
+        edges = (edge_owner, along[kept], apexes[kept])
+        return cls(own.side, own.owner, normals, own.away, *edges, is_rigid, is_guessed)
+
+    def of_groups(self, group: Tensor) -> _Surface:
+        """The surfaces of contacts (K,), each in one of the groups that these are of."""
+        count, size = len(self.is_rigid), lambda owner: torch.arange(len(owner), device=owner.device)
+        owner, faces = Lists.of(self.owner, size(self.owner), count).take(group)
+        edge_owner, edges = Lists.of(self.edge_owner, size(self.edge_owner), count).take(group)
+        columns = (owner, self.normals[faces], self.away[faces], edge_owner, self.along[edges], self.edge_away[edges])
+        return _Surface(self.side, *columns, self.is_rigid[group], self.is_guessed[group])
 
     def admits(self, normal: Tensor) -> Tensor:
         """(K,) bool: some edge is convex, and all faces are behind the plane with the normal (K, 3)."""
@@ -264,12 +346,11 @@ def _sign_out(
     wound: Tensor,
     offset: Tensor,
     noise: Tensor,
-    normal: Tensor,
 ) -> Tensor:
     """(m,): 1 where the normals `wound` (m, 3) of faces (m,) of the surface of one side point to where the other
     surface is, -1 where they point away: by the nearest points, on a closed mesh by the face that they are over; where
     they coincide by the other surface around the point, if it is on one side; then by the order of corners of a closed
-    mesh, this one or the other; then by the `normal` (K, 3).
+    mesh, this one or the other. 0: neither tells.
     """
     towards = offset if own.side == 0 else -offset
     height = dot(towards[owner], wound)
@@ -283,9 +364,7 @@ def _sign_out(
     sign = torch.where((over != 0.0) & (solid != 0.0), over, sign)
     sign = torch.where(sign == 0.0, solid, sign)
     facing = -dot(other.out[owner], wound)
-    sign = torch.where((sign == 0.0) & (facing.abs() > 0.5), torch.sign(facing), sign)
-    sign = torch.where(sign == 0.0, torch.sign(dot(normal[owner], wound)), sign)
-    return torch.where(sign == 0.0, 1.0, sign)
+    return torch.where((sign == 0.0) & (facing.abs() > 0.5), torch.sign(facing), sign)
 
 
 def _reach(other: _Side, owner: Tensor, direction: Tensor, count: int, sign: float) -> Tensor:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -11,7 +12,7 @@ from torch import Tensor
 from pgccd import ops
 from pgccd.contacts.contacts import Contacts
 from pgccd.contacts.kinds import EDGE, FACE, FEATURES, VERTEX, Kind
-from pgccd.geometry.incidence import Incidence
+from pgccd.geometry.incidence import Incidence, Lists
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.vectors import cross, dot, norm
@@ -26,6 +27,25 @@ def reduced(values: Tensor, owner: Tensor, count: int, how: str, without: float)
     """(count,) largest ("amax") or smallest ("amin") of the values (m,) of each owner (m,); `without` any: that."""
     start = torch.full((count,), without, dtype=values.dtype, device=values.device)
     return start.scatter_reduce(0, owner, values, how)
+
+
+def groups_of(*columns: Tensor) -> tuple[Tensor, Tensor]:
+    """Of rows (K, ...) of columns of 64 bits those that are equal to the bit: the group of each (K,), and the first row
+    of each group (G,).
+    """
+    bits = [column.reshape(len(column), -1).contiguous().view(torch.int64) for column in columns]
+    distinct, group = torch.unique(torch.cat(bits, 1), dim=0, return_inverse=True)
+    every = torch.arange(len(group), device=group.device)
+    return group, reduced(every, group, len(distinct), "amin", len(group))
+
+
+def on_cpu(scene: Scene, motion: RigidMotion | VertexMotion) -> tuple[Scene, RigidMotion | VertexMotion]:
+    """The scene and the motion on the CPU: themselves, or copies. The meshes are copied once."""
+    if scene.device.type != "cpu":
+        meshes = scene.meshes._on_cpu
+        scene, motion = scene.to("cpu"), motion.to("cpu")
+        scene.meshes = meshes
+    return scene, motion
 
 
 @dataclass
@@ -71,15 +91,12 @@ class Sites:
         """Of contacts of bodies (K, 2), on the CPU: on a GPU decisions near rounding could be others. Synchronises with
         a GPU, and copies the scene and the motion from there.
         """
-        if scene.device.type != "cpu":
-            meshes = scene.meshes._on_cpu
-            scene, motion = scene.to("cpu"), motion.to("cpu")
-            scene.meshes = meshes
+        scene, motion = on_cpu(scene, motion)
         columns = (contacts.kind, contacts.features, contacts.coordinates, contacts.toi, contacts.point)
         return cls(scene, motion, bodies.cpu(), *(column.detach().cpu() for column in columns))
 
-    def __getitem__(self, rows: Tensor) -> Sites:
-        """Some of the contacts: a mask (K,) or row numbers."""
+    def __getitem__(self, rows: Tensor | slice) -> Sites:
+        """Some of the contacts: a mask (K,), row numbers or a slice."""
         columns = (self.bodies, self.kind, self.features, self.coordinates, self.toi, self.point)
         return Sites(self.scene, self.motion, *(column[rows] for column in columns))
 
@@ -90,7 +107,7 @@ class Sites:
     def incidence(self) -> Incidence:
         return self.scene.meshes._incidence
 
-    @property
+    @functools.cached_property
     def turns(self) -> Tensor:
         """(K,) bool: a body of the contact turns, on an arc."""
         if isinstance(self.motion, VertexMotion) or self.orientation_t1 is not None:
@@ -214,19 +231,30 @@ class Sites:
         row = torch.where(is_vertex, vertex, torch.where(on_edge & is_face, of_face, feature))
         return what, row
 
-    def faces_around(self, what: Tensor, row: Tensor) -> tuple[Tensor, Tensor]:
-        """Faces at vertices, edges or faces (K,): the contact of each (m,), ascending within each kind, and the face
-        (m,). Synchronises.
+    def faces_around(self, what: Tensor, row: Tensor, most: int | None = None) -> tuple[Tensor, Tensor]:
+        """Faces at vertices, edges or faces (n,), the first `most` of each: the place of each in these (m,), ascending
+        within each kind, and the face (m,). Synchronises.
         """
-        lists = ((VERTEX, self.incidence.faces_of_vertex), (EDGE, self.incidence.faces_of_edge))
         owners, faces = [], []
-        for each, of in lists:
+        for each, of in self._lists:
             chosen = torch.nonzero(what == each)[:, 0]
-            place, items = of.take(row[chosen])
+            place, items = of.take(row[chosen], most)
             owners.append(chosen[place])
             faces.append(items)
         chosen = torch.nonzero(what == FACE)[:, 0]
         return torch.cat([*owners, chosen]), torch.cat([*faces, row[chosen]])
+
+    def face_counts(self, what: Tensor, row: Tensor) -> Tensor:
+        """(n,): how many faces `faces_around` gives of each."""
+        count = (what == FACE).long()
+        for each, of in self._lists:
+            rows = torch.where(what == each, row, 0)
+            count = torch.where(what == each, of.begin[rows + 1] - of.begin[rows], count)
+        return count
+
+    @property
+    def _lists(self) -> tuple[tuple[int, Lists], ...]:
+        return (VERTEX, self.incidence.faces_of_vertex), (EDGE, self.incidence.faces_of_edge)
 
     def offset(self) -> tuple[Tensor, Tensor]:
         """From the nearest point of i to that of j at toi (K, 3), and a length below which it may be rounding (K,)."""

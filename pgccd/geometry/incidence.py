@@ -31,11 +31,12 @@ class Lists:
         """A copy on another device."""
         return Lists(self.begin.to(device), self.items.to(device))
 
-    def take(self, rows: Tensor) -> tuple[Tensor, Tensor]:
-        """Of each of the rows (k,) all items, one after the other: the place of their row in `rows` (m,), and they
-        themselves (m,). Synchronises.
+    def take(self, rows: Tensor, most: int | None = None) -> tuple[Tensor, Tensor]:
+        """Of each of the rows (k,) all items, or the first `most`, one after the other: the place of their row in
+        `rows` (m,), and they themselves (m,). Synchronises.
         """
         begin, length = self.begin[rows], self.begin[rows + 1] - self.begin[rows]
+        length = length if most is None else length.clamp(max=most)
         place = torch.repeat_interleave(length)
         within = torch.arange(len(place), device=rows.device) - (length.cumsum(0) - length)[place]
         return place, self.items[begin[place] + within]

@@ -1,21 +1,50 @@
-"""The contacts that a solver must respond to."""
+"""The contacts that a solver must respond to.
+
+Of a pair whose first contact recedes the contacts are not all listed: they are searched for in windows of time that
+grow, and examined in their order in batches that grow, until one is not certain to recede.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 import torch
+from torch import Tensor
 
-from pgccd import arguments
-from pgccd.contacts.approach import recede
-from pgccd.contacts.contacts import Contacts, earliest_of_each
+from pgccd import arguments, ops
+from pgccd.contacts.approach import Recession, moving_bodies
+from pgccd.contacts.contacts import Contacts, Stats, contacts_of, earliest_of_each
+from pgccd.contacts.gradients import add_gradients
+from pgccd.contacts.kinds import Kind, Status
+from pgccd.contacts.normals import surface_normals
+from pgccd.contacts.sites import Sites, reduced
 from pgccd.geometry.scene import Scene
+from pgccd.motion.differentiable import any_differentiated
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
-from pgccd.search.detect import detect
+from pgccd.search import narrow
+from pgccd.search.bodies import MovingBodies
+from pgccd.search.checks import separation_value
+from pgccd.search.detect import detect_moving
+from pgccd.search.query import Query
+from pgccd.search.trajectories import in_scene, of_trajectory, segments_as_step
 
 C = TypeVar("C", bound=Contacts)
+
+# The first window ends at the first contact. By how much later ones are longer than those before, and the part of the
+# step that the second one has at least.
+_LONGER = 8.0
+_SECOND_WINDOW = 1.0 / 8.0
+# Pairs that are searched together at first, and candidates that they should have.
+_PAIRS = 32
+_CANDIDATES = 1 << 18
+# Contacts of each pair in its first batch; by how much later ones are larger; and contacts of all pairs that a batch
+# has at least.
+_BATCH = 8
+_LARGER = 4
+_ROWS = 512
 
 
 def approaching(
@@ -57,19 +86,187 @@ def approaching(
             "hits: were not found by `detect` without a capacity, so they do not tell how to search for later ones"
         )
     slack = options.get("tolerance") if slack is None else arguments.length(slack, "slack")
-    recedes = recede(scene, motion, hits, slack)
+    copies, steps, bodies = moving_bodies(scene, motion, hits)
+    with torch.no_grad():
+        recession = Recession.of(copies, steps, slack)
+        recedes = recession.is_certain(hits, bodies, refuses_others=True)
     kept = hits[~recedes]
     if options["report"] == "first" and len(kept) < len(hits):
-        pairs = torch.unique(hits.pairs[recedes], dim=0)
-        every: Any = detect(scene, motion, pairs=pairs, **(options | {"report": "all"}))
-        later = every[~recede(scene, motion, every, slack)]
-        _, owner = torch.unique(later.pairs, dim=0, return_inverse=True)
-        kept = _joined(kept, later[earliest_of_each(owner, len(later), *later._order)])
+        later = _later(scene, motion, hits[recedes], recession, options)
+        if later is not None:
+            kept = _joined(kept, later)
     return replace(kept, stats=replace(kept.stats, contacts=len(kept)))
+
+
+def _later(
+    scene: Scene,
+    motion: RigidMotion | VertexMotion | Trajectory,
+    hits: C,
+    recession: Recession,
+    options: dict[str, Any],
+) -> C | None:
+    """Of pairs whose first contacts `hits` recede the first that is not certain to, of those that have one; None: none
+    has.
+    """
+    names = ("tolerance", "nonzero_toi", "initial")
+    separation = separation_value(options["min_separation"])
+    query = Query("all", separation, **{name: options[name] for name in names})
+    copies, steps, bodies = moving_bodies(scene, motion, hits)
+    with torch.no_grad():
+        moving = MovingBodies.of(copies._detached(), steps._detached())
+        search = _Search(moving, query, recession, options["normals"] == "surface")
+        if isinstance(motion, Trajectory):
+            # The first contacts of each segment.
+            pairs = segments_as_step(scene._detached(), motion, torch.unique(hits.pairs, dim=0))[2]
+            first: Any = detect_moving(moving, replace(query, report="first"), pairs=pairs)
+            bodies, toi = first.pairs, first.toi
+        else:
+            bodies, of_pair = torch.unique(bodies, dim=0, return_inverse=True)
+            toi = reduced(hits.toi.detach(), of_pair, len(bodies), "amin", 1.0)
+        found = search.of_segments(bodies, toi, scene.body_count)
+        if found is None:
+            return None
+        if search.wants_surface:
+            sites = Sites.of(found, recession.scene, recession.motion, found.pairs)
+            found.normal = surface_normals(sites, found.normal.cpu()).to(found.normal.device)
+    is_differentiated = any_differentiated(*steps._values(), copies.margin, options["min_separation"])
+    if hits._differentiable is not None and is_differentiated:
+        add_gradients(found, copies, steps, options["min_separation"])
+    if isinstance(motion, Trajectory):
+        return of_trajectory(found, scene, motion.segment_count, "all")  # type: ignore[return-value]
+    return found  # type: ignore[return-value]
+
+
+@dataclass
+class _Search:
+    """A search for the first contacts of pairs that are not certain to recede.
+
+    Attributes:
+        bodies: in motion.
+        query: of the contacts.
+        recession: of the same bodies.
+        wants_surface: whether contacts have the normals of surfaces.
+    """
+
+    bodies: MovingBodies
+    query: Query
+    recession: Recession
+    wants_surface: bool
+
+    def of_segments(self, pairs: Tensor, toi: Tensor, count: int) -> Contacts | None:
+        """The contact of each pair of a scene of `count` bodies in the first segment that has one; sorted by pair.
+
+        Args:
+            pairs: (P, 2) of copies of the scene's bodies for each segment, sorted.
+            toi: (P,) of the first contact of each.
+        """
+        segment, of_scene = in_scene(pairs, count)
+        distinct, owner = torch.unique(of_scene, dim=0, return_inverse=True)
+        # Segments of each pair, first one, then two more, then four.
+        order = torch.argsort(owner, stable=True)
+        begin = torch.searchsorted(owner[order], torch.arange(len(distinct), device=pairs.device))
+        rank = torch.empty_like(order)
+        rank[order] = torch.arange(len(order), device=pairs.device) - begin[owner[order]]
+        is_found = torch.zeros_like(begin, dtype=torch.bool)
+        parts, low, number = [], 0, 1
+        while bool(((rank >= low) & ~is_found[owner]).any()):
+            chosen = torch.nonzero((rank >= low) & (rank < low + number) & ~is_found[owner])[:, 0]
+            for contacts, place in self._of_pairs(pairs[chosen], toi[chosen]):
+                is_found[owner[chosen[place]]] = True
+                parts.append(contacts)
+            low, number = low + number, 2 * number
+        if not parts:
+            return None
+        found = Contacts.cat(parts)
+        segment, of_scene = in_scene(found.pairs, count)
+        _, owner = torch.unique(of_scene, dim=0, return_inverse=True)
+        return found[earliest_of_each(owner, len(found), segment, found.toi)]
+
+    def _of_pairs(self, pairs: Tensor, toi: Tensor) -> Iterator[tuple[Contacts, Tensor]]:
+        """Contacts of pairs (P, 2), and their pairs' rows.
+
+        Args:
+            toi: (P,) of the first contact of each.
+        """
+        # The end of the window before and of this one, and how many contacts until the former recede.
+        before, until, receding = torch.full_like(toi, -1.0), toi.clone(), torch.zeros_like(pairs[:, 0])
+        left, size = torch.arange(len(pairs), device=pairs.device), _PAIRS
+        while len(left):
+            begin = 0
+            while begin < len(left):
+                chosen = left[begin : begin + size]
+                begin += size
+                contacts, place, candidates = self._until(pairs[chosen], until[chosen])
+                early = torch.zeros_like(chosen).index_add(0, place, (contacts.toi <= before[chosen][place]).long())
+                # From the first one on, if now more are found until then.
+                skipped = torch.where(early == receding[chosen], early, 0)
+                rows, receding[chosen] = self._first(contacts, place, skipped)
+                until[chosen[place[rows]]] = torch.inf
+                yield contacts[rows], chosen[place[rows]]
+                size = max(1, min(_LARGER * size, size * _CANDIDATES // max(1, candidates)))
+            left = left[until[left] < 1.0]
+            before[left] = until[left]
+            until[left] = (_LONGER * until[left]).clamp(min=_SECOND_WINDOW, max=1.0)
+            size = max(1, int(size / _LONGER))
+
+    def _until(self, pairs: Tensor, until: Tensor) -> tuple[Contacts, Tensor, int]:
+        """All contacts of pairs until times (P,), in their order by pair; the row of their pair (K,); and the number of
+        candidates.
+        """
+        operands, settings = self.bodies.operands, self.query.settings
+        tests_start = self.query.tests_start
+        candidates, _ = ops.traverse(operands, pairs, until, *settings[:2], tests_start)
+        rows = ops.narrow(operands, pairs, candidates, *settings, narrow.REPORTS["all"])
+        place = rows[0].long()
+        contacts: Any = contacts_of((pairs[place], *rows[1:]), "all", Stats(bodies=len(self.recession.slack)))
+        order = torch.nonzero(contacts.toi <= until[place])[:, 0]
+        order = order[torch.argsort(contacts.toi[order], stable=True)]
+        order = order[torch.argsort(place[order], stable=True)]
+        return contacts[order], place[order], len(candidates)
+
+    def _first(self, contacts: Contacts, place: Tensor, skipped: Tensor) -> tuple[Tensor, Tensor]:
+        """Rows of the first contacts that are not certain to recede, and how many before them do, of each pair (P,).
+
+        Args:
+            contacts: K, in their order by pair.
+            place: (K,) the row of their pair.
+            skipped: (P,) contacts of each pair that are known to recede.
+        """
+        count, every = len(skipped), torch.arange(len(place), device=place.device)
+        begin = torch.searchsorted(place, torch.arange(count + 1, device=place.device))
+        begin, end = begin[:-1], begin[1:]
+        # Some are in without a test.
+        is_known = (contacts.kind > Kind.EE) | (contacts.status != Status.TOUCH)
+        first = torch.where(is_known, every, len(place))
+        first = reduced(first, place, count, "amin", len(place))
+        at, last = begin + skipped, torch.minimum(first, end)
+        open_pairs, size = torch.nonzero(at < last)[:, 0], _BATCH
+        while len(open_pairs):
+            size = max(size, _ROWS // len(open_pairs))
+            length = (last - at)[open_pairs].clamp(max=size)
+            owner = torch.repeat_interleave(length)
+            rows = at[open_pairs][owner] + (
+                torch.arange(len(owner), device=owner.device) - (length.cumsum(0) - length)[owner]
+            )
+            stays = rows[~self._recede(contacts[rows])]
+            first = first.scatter_reduce(0, place[stays], stays, "amin")
+            at[open_pairs] += length
+            open_pairs, size = open_pairs[(at < torch.minimum(first, last))[open_pairs]], _LARGER * size
+        is_found = first < end
+        return first[is_found], torch.minimum(first, end) - begin
+
+    def _recede(self, contacts: Contacts) -> Tensor:
+        """(K,) bool: contacts that certainly recede."""
+        if self.wants_surface:
+            sites = Sites.of(contacts, self.recession.scene, self.recession.motion, contacts.pairs)
+            normal = surface_normals(sites, contacts.normal.cpu())
+            contacts = replace(contacts, normal=normal)
+        return self.recession.is_certain(contacts, contacts.pairs)
 
 
 def _joined(one: C, other: C) -> C:
     """Contacts with one row for each pair, and others of other pairs, in the order of pairs."""
+    other = replace(other, _bodies=one._bodies, _found_with=one._found_with)
     both = type(one).cat([one, other])
     pairs = both.pairs
     order = torch.argsort(pairs[:, 0] * (pairs.amax() + 1 if len(pairs) else 1) + pairs[:, 1])

@@ -104,8 +104,14 @@ def contacts_along(
         scene, trajectory, report, pairs: its arguments.
         find: that of a step; for "earliest", which selects from the first contacts of all segments, by report "first".
     """
-    found, segment, pairs = detect_segments(scene, trajectory, find, pairs)
-    count, segments = scene.body_count, trajectory.segment_count
+    found, _, _ = detect_segments(scene, trajectory, find, pairs)
+    return of_trajectory(found, scene, trajectory.segment_count, report)
+
+
+def of_trajectory(found: Contacts, scene: Scene, segments: int, report: narrow.Report) -> TrajectoryContacts:
+    """Contacts along a trajectory, from those of all its segments."""
+    count = scene.body_count
+    segment, pairs = in_scene(found.pairs, count)
     chosen: Tensor | slice = slice(None)
     if report == "first":
         chosen = _first_of_pairs(pairs, count)

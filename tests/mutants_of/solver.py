@@ -81,7 +81,10 @@ MUTANTS = [
     ),
     _mutant("recedes-some-faces", APPROACH, '"amin", 1.0) > 0.0', '"amax", 1.0) > 0.0'),
     _mutant(
-        "recedes-faces-of-one", APPROACH, "for side in (0, 1):\n        what =", "for side in (0,):\n        what ="
+        "recedes-faces-of-one",
+        APPROACH,
+        "for side in (0, 1):\n        place, face =",
+        "for side in (0,):\n        place, face =",
     ),
     _mutant(
         "recedes-no-surface-gap",
@@ -92,12 +95,12 @@ MUTANTS = [
     _mutant(
         "recedes-from-the-other-side",
         APPROACH,
-        "(dot(direction, offset[sets.owner]) >= -noise[sets.owner])",
-        "(norm(direction) > 0.0)",
+        "(dot(directions, offset[place][:, None]) >= -noise[place][:, None])",
+        "(norm(directions) > 0.0)",
     ),
-    _mutant(
-        "recedes-one-sided", APPROACH, "stays & met[owner] & ~is_sided", "stays & met[owner] & is_sided & ~is_sided"
-    ),
+    _mutant("recedes-one-sided", APPROACH, "stays[came] = is_sided | ", "stays[came] = is_sided | ~is_sided | "),
+    _mutant("recedes-roughly", APPROACH, "(needed - _ROUGHLY * size)", "(needed - 0.0 * size)"),
+    _mutant("recedes-some-of-its-time", APPROACH, "self.toi + part * (1.0 - self.toi)", "self.toi + 0.5 * part"),
     _mutant("recedes-chord", APPROACH, "high.clamp(min=0.0) * length", "0.0 * high * length"),
     _mutant("recedes-chord-0.99", APPROACH, "length * length / 8.0", "0.99 * length * length / 8.0"),
     _mutant("recedes-tangent", APPROACH, "0.5 * low * bottom", "0.5 * high * bottom"),
@@ -108,13 +111,13 @@ MUTANTS = [
         "stray = 0.0 * square * radius * step * step",
     ),
     _mutant(
-        "recedes-turns-back", APPROACH, "dot(direction, cross(axis, across))", "-dot(direction, cross(axis, across))"
+        "recedes-turns-back", APPROACH, "across, cross(axis, across), angle", "across, -cross(axis, across), angle"
     ),
     _mutant(
         "recedes-no-turn",
         APPROACH,
-        "dot(direction, fixed), zero, dot(direction, across)",
-        "dot(direction, fixed), zero, zero",
+        "return cls(fixed, zero, across,",
+        "return cls(fixed, zero, 0.0 * across,",
     ),
     _mutant(
         "recedes-centre-stays",
@@ -182,21 +185,28 @@ MUTANTS = [
         "sign = torch.where(height.abs() > noise[owner], -torch.sign(height), 0.0)",
     ),
     _mutant("normals-noise", NORMALS, "height.abs() > noise[owner]", "height.abs() > 0.0 * noise[owner]"),
+    _mutant(
+        "normals-no-noise",
+        NORMALS,
+        "torch.where(apart[:, None], offset, 0.0), torch.where(apart, noise, 0.0)",
+        "offset, 0.0 * noise",
+    ),
+    _mutant("normals-guessed-for-all", NORMALS, "~(one.is_guessed | other.is_guessed)[group]", "(group >= 0)"),
     _mutant("normals-no-reach", NORMALS, "is_above.double() - is_below.double()", "0.0 * is_above.double()"),
     _mutant("normals-no-solid", NORMALS, "sign = torch.where(sign == 0.0, solid, sign)", "_ = solid"),
     _mutant("normals-beside", NORMALS, "sign = torch.where((over != 0.0) & (solid != 0.0), over, sign)", "_ = over"),
     _mutant("normals-over-all", NORMALS, "is_elsewhere | (dot(inward, point) >= 0.0)", "is_elsewhere | ~is_elsewhere"),
     _mutant("normals-no-partner", NORMALS, "facing.abs() > 0.5", "facing.abs() > 2.0"),
     _mutant("normals-outside", NORMALS, "outside = -1.0 if own.side == 1 else 1.0", "outside = 1.0"),
-    _mutant("normals-reversed", NORMALS, "torch.where(sites.is_reversed(normal)[:, None], -normal, normal)", "normal"),
+    _mutant("normals-reversed", NORMALS, "torch.where(some.is_reversed(normal)[:, None], -normal, normal)", "normal"),
     _mutant(
-        "normals-parallel", NORMALS, "normal, -unit_or_zero(sites.velocity())", "normal, unit_or_zero(sites.velocity())"
+        "normals-parallel", NORMALS, "normal, -unit_or_zero(some.velocity())", "normal, unit_or_zero(some.velocity())"
     ),
     _mutant("normals-last", NORMALS, "one.is_rigid & (~other.is_rigid | is_larger)", "~one.is_rigid"),
-    _mutant("normals-last-of-a-face", NORMALS, "(last_is_one | (sides[0].what == FACE))", "last_is_one"),
+    _mutant("normals-last-of-a-face", NORMALS, "last_is_one | (sides[0].what == FACE)", "last_is_one"),
     _mutant("normals-last-of-the-second-face", NORMALS, " & (sides[1].what != FACE)\n", "\n"),
     _mutant("normals-last-of-the-smaller-face", NORMALS, "one.largest_face() > other", "one.largest_face() < other"),
-    _mutant("normals-of-vertices-features", NORMALS, "(coincide & one.admits(mean)", "(~coincide & one.admits(mean)"),
+    _mutant("normals-of-vertices-features", NORMALS, "coincide & one.admits(mean)", "~coincide & one.admits(mean)"),
     _mutant("normals-of-vertices-unweighted", NORMALS, "weight[:, None] * self.normals", "self.normals"),
     _mutant("normals-of-vertices-beside", NORMALS, "corners, 0.0)", "corners, corners)"),
 ]
