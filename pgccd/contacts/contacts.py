@@ -120,7 +120,7 @@ class Stats:
     seconds: dict[str, float] = field(default_factory=dict)
 
     @classmethod
-    def of_parts(cls, parts: Sequence[Stats], contacts: int, device: torch.device) -> Stats:
+    def _of_parts(cls, parts: Sequence[Stats], contacts: int, device: torch.device) -> Stats:
         """The statistics of several searches of the same bodies, with so many contacts: sums, and the largest scratch
         memory.
         """
@@ -332,7 +332,7 @@ class CountedRows(Rows, PairColumns):
         payload = {name: torch.cat([each.payload[name] for each in every]) for name in self.payload}
         joined = replace(super()._followed_by(others), payload=payload)
         joined._is_of_rank = any(each._is_of_rank for each in every)
-        joined.stats = Stats.of_parts([each.stats for each in every], len(joined), joined.pairs.device)
+        joined.stats = Stats._of_parts([each.stats for each in every], len(joined), joined.pairs.device)
         return joined
 
     def __repr__(self) -> str:
