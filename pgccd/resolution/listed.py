@@ -22,6 +22,7 @@ from pgccd.search.query import Query
 # A longer list, relative to the PCS, costs more than the broad phases of rounds.
 _LONGEST = 4
 
+_BYTES_OF_PAIR = BufferSizes(pairs=1, contacts=0).bytes
 _PAIRS, _CONTACTS = COUNT_ROWS["pairs"], COUNT_ROWS["contacts"]
 
 
@@ -103,9 +104,9 @@ class ListedSearch:
             assert self._otherwise is not None
             return self._otherwise.find_round(changed, fraction, capacity, first)
         if pairs.device.type == "cpu":
-            pieces, share = _pieces(BufferSizes(len(pairs), 0), pairs), EXACTLY
+            pieces, share = _pieces(_BYTES_OF_PAIR * len(pairs), pairs), EXACTLY
         else:
-            pieces = _pieces(capacity, pairs)
+            pieces = _pieces(capacity.bytes, pairs)
             share = capacity.times(1.0 / pieces) if 1 < pieces < len(pairs) else capacity
         found: list[Found] = []
         counts = []
@@ -159,7 +160,7 @@ class ListedSearch:
         return self._copies[:count]
 
 
-def _pieces(capacity: BufferSizes, pairs: Tensor) -> int:
-    """Number of parts in which pairs (P, 2) are searched sequentially to fit into memory; at most one per pair."""
-    limit = memory_limit(None, capacity.bytes, pairs.device)
-    return max(1, min(-(-capacity.bytes // limit), len(pairs)))
+def _pieces(wanted: int, pairs: Tensor) -> int:
+    """Number of parts in which pairs (P, 2) that want so many bytes are searched sequentially; at most one per pair."""
+    limit = memory_limit(None, wanted, pairs.device)
+    return max(1, min(-(-wanted // limit), len(pairs)))

@@ -206,7 +206,7 @@ class _Step:
         bodies._raise_invalid(invalid_rows.numpy().tolist())
         resolved.learn()
         if isinstance(search, ListedSearch) and bodies.device.type != "cpu":
-            plan.lists = is_short(*resolved.listed)
+            plan.lists = is_short(*resolved.counts.listed)
         fraction, contacts = resolved.resolution.fraction, search_pass.find()
         assert isinstance(contacts, Contacts)
         touching = contacts.pairs[contacts.toi == 0.0]

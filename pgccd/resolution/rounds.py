@@ -59,9 +59,8 @@ class ResolvedStep:
     """Result of a step."""
 
     resolution: Fractions
-    work: Rows  #: (ranks, 6), see `GatheredCounts.work`
+    counts: GatheredCounts
     summaries: Rows  #: (ranks, k): the values of `summarise` of each rank
-    listed: tuple[int, int]  #: `GatheredCounts.listed`
     #: Updates the capacity estimates for the next step; deferred, so that the next step can be enqueued first.
     learn: Callable[[], None]
 
@@ -355,8 +354,8 @@ class Attempt:
                 rounds = went_on.index(False)
                 self.plan.learn(rounds, partial(_needed, made[:rounds], self.capacities))
                 resolution = Fractions(self.fraction, rounds, int(secondary_contacts[exchange.rank]))
-                work = gathered._replace(secondary_contacts=secondary_contacts).work
-                return ResolvedStep(resolution, work, numbers[:, end:], gathered.listed, self._learning(of_passes))
+                gathered = gathered._replace(secondary_contacts=secondary_contacts)
+                return ResolvedStep(resolution, gathered, numbers[:, end:], self._learning(of_passes))
             more, changes = _MORE_ROUNDS, changes[:0]
 
     def _grow(self, of_passes: NDArray[np.int64], of_rounds: list[NDArray[np.int64]], first_round: int) -> None:

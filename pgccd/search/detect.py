@@ -156,7 +156,8 @@ def detect(
         >>> safe = float(hits.toi[0]) if len(hits) else 1.0
         >>> x = x0 + safe * (x1 - x0)
     """
-    narrow.check_report(report)
+    if report not in narrow.CONTACT_REPORTS:
+        narrow.check_report(report)
     separation = separation_value(min_separation) if isinstance(min_separation, Tensor) else min_separation
     query = Query(report, separation, tolerance, nonzero_toi, initial)
     arguments.choice(normals, "normals", NORMALS)

@@ -29,7 +29,7 @@ __all__ = ["ElementaryResult", "Kind", "Report", "SearchReport", "Status", "edge
 Report = Literal["first", "all", "earliest"]
 #: Of searches besides: "any", for the pairs of `pgccd.collide`.
 SearchReport = Literal["any", "first", "all", "earliest"]
-_OF_CONTACTS = get_args(Report)
+CONTACT_REPORTS = get_args(Report)
 # Numbers of the enum Report in csrc/kernels/narrow/narrow.h. For "earliest", operators may leave out later contacts.
 REPORTS: dict[str, int] = {"any": 0, "first": 1, "all": 2, "earliest": 3}
 
@@ -155,7 +155,7 @@ def check_report(report: SearchReport, collide: str = "pgccd.collide") -> None:
     """Raises TypeError or ValueError unless this is a report of contacts; `collide` is the call that finds pairs."""
     if isinstance(report, str) and report == "any":
         raise ValueError(f'report: "any" is a call of its own: {collide} finds the pairs that collide')
-    arguments.choice(report, "report", _OF_CONTACTS)
+    arguments.choice(report, "report", CONTACT_REPORTS)
 
 
 def find_contacts(

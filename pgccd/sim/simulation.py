@@ -202,7 +202,7 @@ class Simulation(RankSteps[Step, CommittedStep, StepGraph]):
 
         given = rounds, len(share.held), self._plan, summarise, clock, exchange
         resolved = resolve_collisions(*given, stopping_round=self.model.config.stopping_round)
-        reports = Reports.of(resolved.work, resolved.summaries)
+        reports = Reports.of(resolved.counts.work, resolved.summaries)
         resolved.learn()  # so that reading the contacts does not synchronise
         moved_cells = 0
         if self._rank.is_balance_due(index + 1, reports.loads):

@@ -126,7 +126,7 @@ class PlannedStep:
         assert torch.equal(found.fraction, expected.fraction)
         ranks = exchange.ranks if exchange else 1
         assert resolved.summaries.tolist() == [self.summarise(expected.fraction).tolist()] * ranks
-        assert resolved.work[:, WORK.index("contacts")].tolist() == [len(self.expected.contacts)] * ranks
+        assert resolved.counts.work[:, WORK.index("contacts")].tolist() == [len(self.expected.contacts)] * ranks
         return resolved
 
     @staticmethod

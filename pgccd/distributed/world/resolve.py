@@ -257,7 +257,7 @@ def find_fractions(
     stoppers = Stoppers(count, scene.device)
     resolved = resolve_collisions(search, count, plan.rounds, _nothing, clock, exchange, fixed=fixed, stoppers=stoppers)
     if lists:
-        plan.lists = is_short(*resolved.listed)
+        plan.lists = is_short(*resolved.counts.listed)
     fraction, rounds = resolved.resolution.fraction[: held.own_count], resolved.resolution.rounds
     return OwnFractions(fraction, _of_owners(held, stoppers.by) if lists else stoppers.by, rounds)
 
