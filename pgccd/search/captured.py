@@ -334,8 +334,8 @@ def _check_options(
 def _copy_of(motion: RigidMotion | VertexMotion) -> RigidMotion | VertexMotion:
     columns = {name: column.clone() for name, column in motion.columns().items()}
     if isinstance(motion, VertexMotion):
-        return VertexMotion(**columns)
-    return RigidMotion.from_rotation(**columns, path=motion.path)
+        return VertexMotion._of_checked(**columns)
+    return RigidMotion._of_checked(**columns, path=motion.path)
 
 
 def _are_same(one: list[object], other: list[object]) -> bool:
