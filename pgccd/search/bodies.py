@@ -138,8 +138,9 @@ class MovingBodies:
         return self.centre_t0, self.centre_t1, self.reach
 
     def stoppable(self) -> MovingBodies:
-        """The same rigid bodies, with spheres that contain them wherever on their way they are stopped or slowed down:
-        a shortened path is rounded (docs/explanation/exactness.md, section 12). Spheres about origins do already.
+        """The same rigid bodies, with spheres and boxes that contain them wherever on their way they are stopped or
+        slowed down: a shortened path is rounded (docs/explanation/exactness.md, section 12). Those about origins do
+        already.
         """
         if self.scene.meshes.is_centred:
             return self
@@ -150,12 +151,11 @@ class MovingBodies:
         grown = copy.copy(self)
         # An invalid value may have made it NaN.
         grown.reach = torch.where(self.radius < 0.0, self.radius, (self.reach + stray) * (1.0 + 2.0**-50))
+        if self.boxes is not None:
+            unit, growth = self.boxes[:, 0].double(), self.boxes[:, 1].double()
+            grown.boxes = self.boxes.clone()
+            grown.boxes[:, 1] = ((growth + stray / unit) * (1.0 + 2.0**-22)).float()  # rounded up
         return grown
-
-    @property
-    def boxes_at_any_times(self) -> Tensor | None:
-        """`boxes`, if they contain bodies that are stopped or slowed down anywhere on their way."""
-        return self.boxes if self.scene.meshes.is_centred else None
 
     def _enlarge(self) -> None:
         """Finds spheres of meshes off centre and of margins, and boxes."""

@@ -176,7 +176,7 @@ def find_pairs_padded(
         number,
         [max(0, pair_capacity - own), *rest],
         at_any_times,
-        bodies.boxes_at_any_times if at_any_times else bodies.boxes,
+        bodies.boxes,
     )
     if own:
         added = own * (invalid[0] == 0)
@@ -229,8 +229,7 @@ def find_pairs_of_checked(
     `find_pairs_padded`.
     """
     lengths, number = _lengths(min_separation, tolerance), BROAD_PHASE_NUMBERS[chosen]
-    boxes = bodies.boxes_at_any_times if at_any_times else bodies.boxes
-    pairs = ops.broad_pairs(*_columns(bodies), elsewhere, *lengths, number, axis, at_any_times, boxes)
+    pairs = ops.broad_pairs(*_columns(bodies), elsewhere, *lengths, number, axis, at_any_times, bodies.boxes)
     pairs = with_self_pairs(bodies, pairs)
     return pairs if bodies.scene.exclude is None else pairs[_is_tested(bodies, pairs)]
 

@@ -176,6 +176,7 @@ def test_spheres_contain_bodies_that_are_stopped() -> None:
     )
     bodies = pgccd.MovingBodies.of(scene, motion)
     grown = bodies.stoppable()
+    assert bodies.boxes is not None and grown.boxes is not None
     fraction = 0.99 * torch.rand(200, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
     ends: Any = shortened(scene, motion, fraction)
     least = Fraction(10**9)
@@ -198,6 +199,9 @@ def test_spheres_contain_bodies_that_are_stopped() -> None:
         offset = sum(map(abs, map(Fraction, (bodies.centre_t0 - motion.position_t0)[row].tolist())))
         proven = Fraction(32, 2**53) * furthest + Fraction(4, 2**53) * rotation * (reach + offset)
         assert 1 - Fraction(1, 2**30) < growth / proven < 1 + Fraction(1, 100)  # as in docs/explanation/exactness.md
+        unit, before = (Fraction(x) for x in bodies.boxes[row, :2].tolist())
+        of_box = unit * (Fraction(float(grown.boxes[row, 1])) - before)
+        assert proven <= of_box < proven + unit * Fraction(1, 2**20)
         least = min(least, growth / (stray + turn * arm)) if stray else least
     assert least < 64  # the bound is not far above what occurs
 
