@@ -9,6 +9,11 @@ import pytest
 from support.ranks import RankPool
 
 World = Callable[..., list[Any]]
+SLOW = pytest.mark.slow
+# Four ranks have the most kinds of neighbours, three an odd number of parts.
+ON_FOUR = [1, pytest.param(2, marks=SLOW), pytest.param(3, marks=SLOW), 4]
+ON_THREE = [1, pytest.param(2, marks=SLOW), 3, pytest.param(4, marks=SLOW)]
+on_three = pytest.mark.parametrize("world", ON_THREE, indirect=True)
 
 
 @pytest.hookimpl(tryfirst=True)  # before tests are selected by their marks
@@ -26,7 +31,9 @@ def ranks() -> Iterator[RankPool]:
     pool.close()
 
 
-@pytest.fixture(params=[1, pytest.param(2, marks=pytest.mark.slow), 3, 4])
+@pytest.fixture(params=ON_FOUR)
 def world(request: pytest.FixtureRequest, ranks: RankPool) -> World:
-    """Runs world(job, *arguments) on 1, 3 and 4 ranks in turn, on 2 too with `-m slow`; returns the ranks' results."""
+    """Runs world(job, *arguments) on 1 and 4 ranks in turn (1 and 3 in tests marked `on_three`), with `-m slow` on the
+    other numbers up to 4; returns the ranks' results.
+    """
     return lambda job, *arguments: ranks.run(request.param, job, *arguments)

@@ -10,6 +10,7 @@ from unittest import mock
 
 import pytest
 import torch
+from support.cases import mostly_slow
 from support.graphs import graphs_on
 from support.peer_messages import OverConnection
 from support.ranks import RankPool
@@ -67,12 +68,16 @@ def lose(comm: Comm, device: str, where: str, loser: int, over_peers: bool) -> t
     return seen, sum(made.replayed for made in steps)
 
 
-@pytest.mark.parametrize("where", ["pairs", "traverse", "contacts", "halo"])
-def test_lost_on_one_rank(ranks: RankPool, where: str) -> None:
-    for over_peers in (False, True):
-        for seen, replayed in ranks.run(2, lose, "cpu", where, 1, over_peers):
-            assert seen[0] is True and seen[-1] is False  # in the graph; repeated eagerly
-            assert replayed > 3
+CASES = [(where, over_peers) for where in ("pairs", "traverse", "contacts", "halo") for over_peers in (False, True)]
+#: Each place, each way of messages.
+QUICK = [("pairs", True), ("traverse", False), ("contacts", True), ("halo", False)]
+
+
+@pytest.mark.parametrize(("where", "over_peers"), mostly_slow(CASES, QUICK))
+def test_lost_on_one_rank(ranks: RankPool, where: str, over_peers: bool) -> None:
+    for seen, replayed in ranks.run(2, lose, "cpu", where, 1, over_peers):
+        assert seen[0] is True and seen[-1] is False  # in the graph; repeated eagerly
+        assert replayed > 3
 
 
 def test_alone(device: torch.device) -> None:

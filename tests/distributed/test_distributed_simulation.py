@@ -14,7 +14,7 @@ from support.graphs import graphs_on
 from support.same_bits import assert_same
 from support.steps import step_of
 
-from distributed.conftest import World
+from distributed.conftest import World, on_three
 from pgccd import sim
 from pgccd.distributed import BalanceOptions, Bisection, Cells, Comm
 from pgccd.distributed.halo import sizes as halo_sizes
@@ -195,7 +195,7 @@ def fail_before_messages(comm: Comm) -> str:
     return ""
 
 
-def follow_neighbours(comm: Comm, name: str, policy: str, steps: int, graph: bool) -> int:
+def follow_neighbours(comm: Comm, name: str, policy: str, steps: int, graph: bool, kind: str) -> int:
     """With messages between neighbours only, as for many ranks. If no policy assigns the cells, no ranks are neighbours
     at first. Returns the number of times that the neighbours of ranks were extended.
     """
@@ -215,11 +215,9 @@ def follow_neighbours(comm: Comm, name: str, policy: str, steps: int, graph: boo
         if policy == "none":
             for partition in (Cells, Bisection):
                 stack.enter_context(mock.patch.object(partition, "neighbours", lambda _, rank: [rank]))
-        for kind, axes in (("cells", 1), ("bisection", 3)):
-            seen = follow(
-                comm, name, policy, steps, kind == "cells" and policy == "none", True, "cpu", graph, kind, axes
-            )
-            assert seen["contacts"] > 100 and (seen["replayed"] > 3) == graph
+        axes, random_owners = 1 if kind == "cells" else 3, kind == "cells" and policy == "none"
+        seen = follow(comm, name, policy, steps, random_owners, True, "cpu", graph, kind, axes)
+        assert seen["contacts"] > 100 and (seen["replayed"] > 3) == graph
     return extended
 
 
@@ -232,6 +230,7 @@ def follow_bisected(
         return follow(comm, name, policy, steps, False, True, device, replayed, "bisection")
 
 
+@on_three
 @pytest.mark.parametrize(
     ("name", "policy", "random_owners", "overlap"),
     [
@@ -251,6 +250,7 @@ def test_same_bits_as_one_process(world: World, name: str, policy: str, random_o
             assert seen[0]["moved cells"] > 0
 
 
+@on_three
 @pytest.mark.parametrize("padding", ["usual", "none"])
 @pytest.mark.parametrize(("name", "policy"), [("random", "none"), ("random", "cost"), ("skewed", "one-cell")])
 def test_same_bits_as_replays(world: World, name: str, policy: str, padding: str) -> None:
@@ -323,10 +323,20 @@ def test_balance_spreads_what_one_rank_had(ranks: World) -> None:
 
 
 @pytest.mark.parametrize("size", [pytest.param(2, marks=pytest.mark.slow), 4])
-@pytest.mark.parametrize("graph", [False, True], ids=["eager", "replayed"])
+@pytest.mark.parametrize(
+    ("kind", "graph"),
+    [
+        ("cells", False),
+        pytest.param("cells", True, marks=pytest.mark.slow),
+        pytest.param("bisection", False, marks=pytest.mark.slow),
+        ("bisection", True),
+    ],
+)
 @pytest.mark.parametrize(
     ("name", "policy"), [pytest.param("random", "none", marks=pytest.mark.slow), ("skewed", "cost")]
 )
-def test_same_bits_with_neighbours_only(ranks: World, name: str, policy: str, graph: bool, size: int) -> None:
-    extended = ranks.run(size, follow_neighbours, name, policy, 24, graph)
+def test_same_bits_with_neighbours_only(
+    ranks: World, name: str, policy: str, kind: str, graph: bool, size: int
+) -> None:
+    extended = ranks.run(size, follow_neighbours, name, policy, 24, graph, kind)
     assert extended[0] > 0 or policy != "none"

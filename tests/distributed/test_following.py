@@ -8,7 +8,7 @@ import pytest
 from support.following import FAST, follow_plainly
 from support.graphs import graphs_on
 
-from distributed.conftest import World
+from distributed.conftest import World, on_three
 from pgccd import sim
 from pgccd.distributed import BalanceOptions, Comm
 from pgccd.distributed.partition.cut import make_partition
@@ -31,6 +31,7 @@ def follow(comm: Comm, name: str, expected: list[dict[str, Any]], kind: str, rep
     return ghosts
 
 
+@on_three
 @pytest.mark.parametrize("replayed", [False, True], ids=["eager", "replayed"])
 @pytest.mark.parametrize(("name", "kind"), [("random", "cells"), ("skewed", "bisection")])
 def test_fast_robots(world: World, name: str, kind: str, replayed: bool) -> None:

@@ -9,7 +9,7 @@ from unittest import mock
 
 import pytest
 
-from distributed.conftest import World
+from distributed.conftest import World, on_three
 from distributed.test_neighbours import OneOf
 from distributed.test_share import CONFIG, STEPS, by_one_process, without_times
 from pgccd import sim
@@ -66,6 +66,7 @@ def by_ranks(comm: Comm, capacities: str) -> tuple[list[dict[str, Any]], list[bo
     return records, enough
 
 
+@on_three
 @pytest.mark.parametrize("capacities", CAPACITIES)
 def test_same_bits_for_any_capacity(world: World, capacities: str) -> None:
     expected = by_one_process()

@@ -20,7 +20,8 @@ from pgccd.distributed import Alone, Comm
 from pgccd.distributed.world import captured as captured_world
 
 PAGE = ROOT / "docs" / "how-to" / "cluster.md"
-DOCUMENTS = [ROOT / "examples" / "04_many_ranks.py", ROOT / "examples" / "08_impulses.py", PAGE]
+EXAMPLES = [ROOT / "examples" / "04_many_ranks.py", ROOT / "examples" / "08_impulses.py"]
+DOCUMENTS = [*(pytest.param(path, marks=pytest.mark.slow) for path in EXAMPLES), PAGE]
 Rows = list[list[float]]
 
 

@@ -14,6 +14,7 @@ from search.test_traverse import assert_all_there, candidates, moving
 from strategies import contacts
 from strategies.contacts import Meetings
 from support.candidates import assert_touching, missed
+from support.cases import few_and_many
 from support.shapes import Bodies, bumpy, directions, turned, unit_quaternions
 from support.truth import rigid_truth
 
@@ -237,11 +238,12 @@ def test_few_splits(device: torch.device) -> None:
     assert int(node_tests) < 220 * n
 
 
+@few_and_many("seeds", 2, 4)
 @pytest.mark.parametrize("turn", [0.0, 1.0, 9.0])
-def test_slender_flat_and_far_bodies(device: torch.device, turn: float) -> None:
+def test_slender_flat_and_far_bodies(device: torch.device, turn: float, seeds: int) -> None:
     """Every feature pair that touches on exact arcs is a candidate."""
     touching = 0
-    for seed in range(4):
+    for seed in range(seeds):
         rng = np.random.default_rng([7, seed, int(turn)])
         kinds = [contacts.spindle(0.01, 2), contacts.plate(2), pgccd.Mesh(rng.normal(size=(3, 3)), [[0, 1, 2]])]
         first, second = rng.permutation(3)[:2]

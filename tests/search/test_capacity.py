@@ -155,6 +155,7 @@ def columns_of(motion: pgccd.RigidMotion) -> list[torch.Tensor]:
     return [motion.position_t0, motion.orientation_t0, motion.position_t1, motion.rotation]
 
 
+@pytest.mark.slow
 def test_compile_the_whole_step(device: torch.device) -> None:
     scene, motion = crowd(device)
     expected, capacity = capacity_for(scene, motion)

@@ -50,13 +50,10 @@ def random_ends(rng: np.random.Generator, shake: float, offset: float = 0.0) -> 
 
 @pytest.mark.parametrize("shake", [0.0, 0.1, 0.5])
 @pytest.mark.parametrize("offset", [0.0, 1e8])
-def test_random(device: torch.device, shake: float, offset: float) -> None:
-    found = 0
-    for seed in range(2):
-        bodies, ends = random_ends(np.random.default_rng([1, int(10 * shake), seed]), shake, offset)
-        found += check(bodies.meshes, ends, device)
-        found += check(bodies.meshes, ends, device, separation=0.05)
-    assert found > 20
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
+def test_random(device: torch.device, shake: float, offset: float, seed: int) -> None:
+    bodies, ends = random_ends(np.random.default_rng([1, int(10 * shake), seed]), shake, offset)
+    assert check(bodies.meshes, ends, device) + check(bodies.meshes, ends, device, separation=0.05) > 5
 
 
 @pytest.mark.parametrize("scale", [1e-6, 1e6, 1e-25, 1e25])

@@ -10,6 +10,7 @@ import pytest
 import torch
 from strategies import contacts
 from support.candidates import assert_touching, missed
+from support.cases import few_and_many
 from support.host_program import run_program
 from support.origins import moved_to
 from support.same_bits import columns_of, difference, first_rows
@@ -189,11 +190,12 @@ def test_poses_of_many_segments_are_not_kept(device: torch.device) -> None:
     assert hits.stats.needed.poses == 0
 
 
+@few_and_many("count", 20, 60)
 @pytest.mark.parametrize("turn", [(90.0, 3.0), (400.0, 300.0), (3000.0, 1.0)])
-def test_tips_graze_within_spans_of_many_segments(device: torch.device, turn: tuple[float, float]) -> None:
+def test_tips_graze_within_spans_of_many_segments(device: torch.device, turn: tuple[float, float], count: int) -> None:
     """Each tip's arc bulges towards the other, in the middle of a span too."""
     for sizes in ((1.0, 1.0), (1.0, 0.125)):
-        meetings = contacts.tips(np.random.default_rng(6), 60, turn, sizes=sizes)
+        meetings = contacts.tips(np.random.default_rng(6), count, turn, sizes=sizes)
         assert_touching(meetings, 1e-11)
         assert missed(meetings, device, 1e-11) == []
 

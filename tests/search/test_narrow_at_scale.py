@@ -1,4 +1,4 @@
-"""The narrow phase on some hundred thousand random and adversarial queries against the batch oracle; see nightly.py."""
+"""The narrow phase on many random and adversarial queries against the batch oracle; see nightly.py."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ def assert_all_well(checks: Iterable[tuple[str, Tally]], names: Iterable[str], l
 def test_straight_paths(dtype: torch.dtype, device: torch.device) -> None:
     if not bulk.accepts(dtype):
         pytest.skip(f"the elementary tests do not take {dtype}")
-    assert_all_well(bulk.straight(1, range(2), dtype, device, share=2), bulk.straight_families(), 150_000)
+    assert_all_well(bulk.straight(1, range(1), dtype, device, share=4), bulk.straight_families(), 35_000)
 
 
 def test_arcs(device: torch.device) -> None:
-    assert_all_well(bulk_arcs.arcs_checked(1, range(1), device, share=16), PLANS, 3_500)
+    assert_all_well(bulk_arcs.arcs_checked(1, range(1), device, share=32), PLANS, 1_700)
 
 
 @pytest.mark.slow

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from oracle.detect import Detection
+from support.cases import few_and_many
 from support.shapes import Bodies, approaching, on_the_surface, tensors, unit_quaternions
 from support.truth import end_positions, linear_truth, rigid_truth
 
@@ -41,9 +42,10 @@ def moving(bodies: Bodies, device: torch.device, path: str = "rigid") -> pgccd.M
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.1, 1.0, 3.1, 9.0, 25.0])
-def test_arcs(device: torch.device, turn: float) -> None:
+@few_and_many("seeds", 1, 2)
+def test_arcs(device: torch.device, turn: float, seeds: int) -> None:
     contacts = 0
-    for seed in range(2):
+    for seed in (1, 0)[:seeds]:
         rng = np.random.default_rng([seed, int(10 * turn)])
         bodies = approaching(rng, (0, 1) if turn < 5 else (0, 0), turn=turn, closeness=0.7)
         truth = rigid_truth(bodies)
@@ -114,8 +116,9 @@ def test_linear_paths(device: torch.device, turn: float) -> None:
 
 
 @pytest.mark.parametrize("shake", [0.0, 0.2, 1.0])
-def test_deforming(device: torch.device, shake: float) -> None:
-    for seed in range(2):
+@few_and_many("seeds", 1, 2)
+def test_deforming(device: torch.device, shake: float, seeds: int) -> None:
+    for seed in range(seeds):
         rng = np.random.default_rng([11, int(10 * shake), seed])
         bodies = approaching(rng, turn=1.0, closeness=0.8, offset=100.0)
         ends = [end_positions(bodies, b) for b in (0, 1)]

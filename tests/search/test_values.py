@@ -277,6 +277,7 @@ def test_what_is_recorded_for_later_values_carries_their_check(monkeypatch: pyte
         found.trim()
 
 
+@pytest.mark.slow
 def test_compiled_steps_validate_margins(device: torch.device) -> None:
     scene, motion = moving("rigid", device)
     expected = pgccd.detect(scene, motion)
