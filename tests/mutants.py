@@ -3,9 +3,10 @@
 python tests/mutants.py [--only NAME ...] [--list] [--jobs N] [--rest] [--equivalents] [--folder PATH]
 
 For each mutant of `mutants_of` the test modules it names must fail ("killed"; their slow tests are run if the others
-pass), or it must be marked as equivalent, with the reason. Works on a copy of the project with its own build folder, for the CPU only. Mutants that replace one
-expression by another are compiled together and selected by an environment variable; the others one by one. Prints a
-table, and exits with 1 if a mutant survived or if the unchanged copy fails its tests.
+pass), or it must be marked as equivalent, with the reason. Works on a copy of the project with its own build folder,
+for the CPU only. Mutants that replace one expression by another are compiled together and selected by an environment
+variable; the others one by one. Prints a table, and exits with 1 if a mutant survived or if the unchanged copy fails
+its tests.
 """
 
 from __future__ import annotations
