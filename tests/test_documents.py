@@ -38,7 +38,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     torch.manual_seed(0)
 
 
-# `tests/distributed/test_loops.py` runs it too.
+# `tests/distributed/world/test_loops.py` runs it too.
 ON_MANY_RANKS = "04_many_ranks.py"
 
 

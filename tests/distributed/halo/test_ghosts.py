@@ -13,10 +13,10 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from support.crowds import crowds
+from support.ranks import World
 from support.shapes import directions, tensors
 
 import pgccd
-from distributed.conftest import World
 from pgccd import ops, sim
 from pgccd.distributed import Alone, Cells, Comm
 from pgccd.distributed import World as SharedWorld

@@ -21,9 +21,9 @@ from support.crowds import crowds
 from support.ranks import RankPool
 
 import pgccd
-from distributed import test_motions
-from distributed.test_motions import spread
-from distributed.test_world_checkpoint import CROWD, begin, load, save_on_the_way, state_of
+from distributed.world import test_motions
+from distributed.world.test_checkpoint import CROWD, begin, load, save_on_the_way, state_of
+from distributed.world.test_motions import spread
 from pgccd.checkpoint import files
 from pgccd.checkpoint.files import FOLDER, POINTER
 from pgccd.checkpoint.lock import hold

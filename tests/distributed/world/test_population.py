@@ -12,14 +12,14 @@ from support.checkpoint_faults import plant
 from support.crowds import crowds
 from support.graphs import graphs_on
 from support.ranks import RankPool, to_all
+from support.ranks import World as Ranks
 from torch import Tensor
 
 import pgccd
-from distributed import test_motions
-from distributed.conftest import World as Ranks
-from distributed.test_captured_world import BOX, COUNT, meshes, motion, response, start
-from distributed.test_world_payload import BOX as MESH
-from distributed.test_world_payload import columns_of, moving
+from distributed.world import test_motions
+from distributed.world.test_captured import BOX, COUNT, meshes, motion, response, start
+from distributed.world.test_payload import BOX as MESH
+from distributed.world.test_payload import columns_of, moving
 from pgccd.distributed import Alone, BalanceOptions, CapturedWorld, CheckpointError, Comm, World
 from pgccd.distributed.comm.exchange import take_rows
 from pgccd.distributed.halo.vertices import Vertices, vertex_counts

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from support.ranks import World
 from support.same_bits import Result, columns_of, difference
 from support.shapes import bumpy
 
 import pgccd
-from distributed.conftest import World
 from pgccd.distributed import BalanceOptions, Comm
 from pgccd.distributed import World as SharedWorld
 from pgccd.distributed.comm.exchange import take_rows

@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 from support.following import FAST, follow_plainly
 from support.graphs import graphs_on
+from support.ranks import World, on_three
 
-from distributed.conftest import World, on_three
 from pgccd import sim
 from pgccd.distributed import BalanceOptions, Comm
 from pgccd.distributed.partition.cut import make_partition

@@ -12,11 +12,10 @@ import pytest
 import torch
 from support.cases import mostly_slow
 from support.crowds import crowds
-from support.ranks import to_all
+from support.ranks import World, to_all
 from support.same_bits import assert_same, contacts_hash
 
 import pgccd
-from distributed.conftest import World
 from pgccd.distributed import BalanceOptions, Cells, Comm
 from pgccd.distributed import World as SharedWorld
 from pgccd.distributed.comm.exchange import take_rows

@@ -14,7 +14,8 @@ from support.peer_messages import OverConnection
 from support.ranks import RankPool
 from torch import Tensor
 
-from distributed import test_captured_world, test_distributed_simulation
+from distributed.steps import test_rank
+from distributed.world import test_captured
 from pgccd import ops
 from pgccd.distributed import Comm
 from pgccd.distributed.comm import peer_memory
@@ -184,14 +185,14 @@ def test_opcheck() -> None:
 def follow_simulation(comm: Comm, neighbours_above: int) -> int:
     comm.neighbours_above = neighbours_above
     comm.peer_messages = messages = OverConnection(comm)
-    seen = test_distributed_simulation.follow_replayed(comm, "random", "cost", 24, False)
+    seen = test_rank.follow_replayed(comm, "random", "cost", 24, False)
     assert seen["replayed"] > 3 and seen["skipped"] > 3
     return messages.calls
 
 
 def follow_world(comm: Comm) -> int:
     comm.peer_messages = messages = OverConnection(comm)
-    seen = test_captured_world.follow(comm, "cost", "bisection", True, "cpu", False)
+    seen = test_captured.follow(comm, "cost", "bisection", True, "cpu", False)
     assert seen["replayed"] > 3
     return messages.calls
 

@@ -12,11 +12,11 @@ import pytest
 import torch
 from support.graphs import graphs_on
 from support.ranks import RankPool
+from support.ranks import World as Ranks
 from support.shapes import bumpy
 from torch import Tensor
 
 import pgccd
-from distributed.conftest import World as Ranks
 from pgccd.distributed import (
     BalanceOptions,
     Bodies,

@@ -12,9 +12,9 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from support.crowds import crowds
+from support.ranks import World
 
 import pgccd
-from distributed.conftest import World
 from pgccd import ops
 from pgccd.distributed import Alone, BalanceOptions, Bisection, Cells, Comm
 from pgccd.distributed import World as SharedWorld

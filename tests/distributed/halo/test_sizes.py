@@ -8,10 +8,10 @@ from typing import Any
 from unittest import mock
 
 import pytest
+from support.ranks import World, on_three
 
-from distributed.conftest import World, on_three
-from distributed.test_neighbours import OneOf
-from distributed.test_share import CONFIG, STEPS, by_one_process, without_times
+from distributed.comm.test_neighbourhood import OneOf
+from distributed.detection.test_share import CONFIG, STEPS, by_one_process, without_times
 from pgccd import sim
 from pgccd.distributed import Cells, Comm
 from pgccd.distributed.comm.neighbourhood import Neighbourhood

@@ -14,8 +14,8 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 from support.checkpoint_faults import newest, plant
+from support.ranks import World
 
-from distributed.conftest import World
 from pgccd import sim
 from pgccd.distributed import BalanceOptions, Bisection, Cells, Comm, Partition
 from pgccd.distributed.checkpoint import shared_folder

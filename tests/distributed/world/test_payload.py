@@ -10,11 +10,11 @@ import pytest
 import torch
 from support.crowds import crowds
 from support.ranks import RankPool
+from support.ranks import World as Ranks
 from torch import Tensor
 
 import pgccd
-from distributed import test_motions
-from distributed.conftest import World as Ranks
+from distributed.world import test_motions
 from pgccd.distributed import Alone, Comm, World
 from pgccd.distributed.comm.exchange import take_rows
 

@@ -11,10 +11,10 @@ from unittest import mock
 import pytest
 import torch
 from support.graphs import graphs_on
+from support.ranks import World, on_three
 from support.same_bits import assert_same
 from support.steps import step_of
 
-from distributed.conftest import World, on_three
 from pgccd import sim
 from pgccd.distributed import BalanceOptions, Bisection, Cells, Comm
 from pgccd.distributed.halo import sizes as halo_sizes

@@ -9,9 +9,10 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from support.ranks import World
 
-from distributed import test_distributed_simulation, test_motions
-from distributed.conftest import World
+from distributed.steps import test_rank
+from distributed.world import test_motions
 from pgccd import ops
 from pgccd.distributed import Alone, Bisection, Comm
 from pgccd.distributed.partition.balance import imbalance, rank_loads
@@ -164,14 +165,14 @@ def test_shares_that_are_not_equal() -> None:
     ],
 )
 def test_the_simulation_has_the_same_bits(world: World, name: str, policy: str) -> None:
-    seen = world(test_distributed_simulation.follow_bisected, name, policy, 24)
+    seen = world(test_rank.follow_bisected, name, policy, 24)
     assert seen[0]["contacts"] > 100
     if len(seen) > 1 and name == "skewed":
         assert seen[0]["moved cells"] > 0
 
 
 def test_replays_have_the_same_bits(ranks: World) -> None:
-    run = test_distributed_simulation.follow_bisected
+    run = test_rank.follow_bisected
     assert ranks.run(3, run, "skewed", "cost", 24, True)[0]["contacts"] > 100  # type: ignore[attr-defined]
 
 

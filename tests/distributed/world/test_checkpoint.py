@@ -14,8 +14,8 @@ from support.crowds import crowds
 from support.ranks import RankPool, to_all
 
 import pgccd
-from distributed import test_motions
-from distributed.test_motions import REPORTS, STEPS, alone, require_equal, rows_of, spread, vertices_of
+from distributed.world import test_motions
+from distributed.world.test_motions import REPORTS, STEPS, alone, require_equal, rows_of, spread, vertices_of
 from pgccd.checkpoint.files import FOLDER
 from pgccd.distributed import Alone, BalanceOptions, Comm, World
 from pgccd.distributed.checkpoint import writing

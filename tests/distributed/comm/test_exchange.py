@@ -8,8 +8,8 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from support.ranks import World
 
-from distributed.conftest import World
 from pgccd.distributed import Cells, Comm
 from pgccd.distributed.comm.exchange import Columns, make_route, pack, replace_rows, unpack
 from pgccd.distributed.comm.torch_comm import TorchComm

@@ -14,7 +14,7 @@ from support.launch import PEER_MEMORY
 from support.ranks import RankPool
 from torch import Tensor
 
-from distributed import test_peers
+from distributed.comm import test_peer_memory
 from pgccd.distributed import TorchComm
 from pgccd.distributed.comm import peer_access, torch_comm
 from pgccd.distributed.comm.peer_access import Place, are_peers, map_peer_memory
@@ -49,7 +49,7 @@ def test_a_trial_that_fails_does_not_leave_a_kernel_waiting() -> None:
 
 @pytest.mark.cuda
 def test_a_trial_compares_values(monkeypatch: pytest.MonkeyPatch) -> None:
-    peer, gather = test_peers.alone(64), PeerMemory.gather
+    peer, gather = test_peer_memory.alone(64), PeerMemory.gather
     assert peer_access._try_messages(peer, 0, 1) is peer
     for wrong in range(3):
         answers = itertools.count()

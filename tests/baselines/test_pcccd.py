@@ -8,11 +8,11 @@ from dataclasses import replace
 import pytest
 import torch
 from support.crowds import Crowd, crowds
+from support.ranks import World
 from support.same_bits import assert_same
 from support.steps import step_of
 
 import pgccd
-from distributed.conftest import World
 from pgccd import sim
 from pgccd.baselines import PCCCD
 from pgccd.distributed import Comm

@@ -6,10 +6,10 @@ import itertools
 
 import pytest
 import torch
+from distributed.partition.test_cells import partitions
 from hypothesis import given
 from hypothesis import strategies as st
 
-from distributed.test_partition import partitions
 from pgccd import ops
 from pgccd.distributed import Cells
 

@@ -10,9 +10,9 @@ from typing import Any
 from unittest import mock
 
 import pytest
+from support.ranks import World
 from support.steps import step_of
 
-from distributed.conftest import World
 from pgccd import sim
 from pgccd.distributed import Cells, Comm
 from pgccd.search import passes as passes_module
