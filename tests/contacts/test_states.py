@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from support.cases import mostly_slow
 from support.gradients import meshes
 from support.same_bits import assert_same
 from torch import Tensor
@@ -83,7 +84,7 @@ def test_states_of_other_motions(tmp_path: Path, device: torch.device) -> None:
     assert loaded == hits and torch.equal(loaded.first_toi("body"), hits.first_toi("body"))
 
 
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("dtype", mostly_slow([torch.float32, torch.float64], [torch.float32]))
 def test_states_of_trajectories(dtype: torch.dtype, tmp_path: Path, device: torch.device) -> None:
     """Also of those given in float32, whose orientations and rotations agree only up to its rounding."""
     scene, motion = scattered(24, device)

@@ -7,9 +7,9 @@ from fractions import Fraction
 import numpy as np
 import pytest
 import torch
-from geometry.test_mesh import assert_encloses, prepared
 from strategies import contacts
 from support.cases import few_and_many
+from support.hierarchies import assert_encloses, prepared
 from support.shapes import bumpy, directions, tensors, turned, unit_quaternions
 
 import pgccd

@@ -11,14 +11,13 @@ import pytest
 import torch
 from strategies import contacts
 from strategies.contacts import Meetings
-from support.candidates import assert_touching, missed, missed_among
+from support.candidates import BARELY, assert_touching, missed, missed_among
 from support.cases import few_and_many
 from support.shapes import Bodies, directions, tensors, turned
 
 import pgccd
 
 # Rounding of the poses passed in; the margins tested here are thousands of times as wide.
-BARELY = 1e-12
 
 
 @few_and_many("count", 24, 60)

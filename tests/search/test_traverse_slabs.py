@@ -15,12 +15,12 @@ from typing import Literal
 import numpy as np
 import pytest
 import torch
+from support.candidates import assert_all_there, candidates, moving
 from support.cases import few_and_many
 from support.shapes import Bodies, tetrahedron
 from support.truth import linear_truth
 
 import pgccd
-from search.test_traverse import assert_all_there, candidates, moving
 
 TINY = 2e-4
 

@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Iterator
 
 import pytest
-from support.guards import TOKEN, Ranks, fail, ranks_of, wait_for
+from support.guards import TOKEN, Ranks, fail, ranks_of, verdict_of, wait_for
 
 from pgccd.distributed import RankFailureError
 from pgccd.distributed.guard import Guard, channel, guard, hub, turns
@@ -84,7 +84,7 @@ def test_the_death_of_rank_0_is_seen_by_all(ranks: Ranks, exits: list[int]) -> N
         member.channel.socket.shutdown(socket.SHUT_RDWR)
     for one in ranks.guards[1:]:
         assert f"rank 0 (process {os.getpid()} on " in fail(one)
-        assert "has died" in str(one._verdict)
+        assert "has died" in str(verdict_of(one))
 
 
 def test_a_process_whose_gpu_waits_without_end_ends_at_once(ranks: Ranks, exits: list[int]) -> None:
@@ -104,7 +104,7 @@ def test_lost_messages_end_the_process_of_a_rank_that_gets_no_error(ranks: Ranks
     ranks.guards[0].is_broken = lambda: True
     ranks.kill(1)
     wait_for(lambda: exits)
-    assert ranks.guards[0]._verdict == "rank 1 (process 1) has died"
+    assert verdict_of(ranks.guards[0]) == "rank 1 (process 1) has died"
 
 
 def test_lost_messages_without_a_lost_rank(ranks: Ranks, exits: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -112,8 +112,8 @@ def test_lost_messages_without_a_lost_rank(ranks: Ranks, exits: list[int], monke
     ranks.guards[0].is_broken = lambda: True
     wait_for(lambda: exits)
     for one in ranks.guards:
-        wait_for(lambda one=one: one._verdict)
-        assert str(one._verdict).endswith("lost messages of other ranks, although all are alive")
+        wait_for(lambda one=one: verdict_of(one))
+        assert str(verdict_of(one)).endswith("lost messages of other ranks, although all are alive")
 
 
 def test_a_message_that_does_not_arrive_although_all_ranks_have_sent_it(ranks: Ranks, exits: list[int]) -> None:
@@ -129,8 +129,8 @@ def test_a_message_that_does_not_arrive_although_all_ranks_have_sent_it(ranks: R
         wait_for(lambda: exits)
     assert time.monotonic() - begin > 2.0  # twice the time-out
     for one in ranks.guards:
-        wait_for(lambda one=one: one._verdict)
-        assert str(one._verdict).endswith("lost messages of other ranks, although all are alive")
+        wait_for(lambda one=one: verdict_of(one))
+        assert str(verdict_of(one)).endswith("lost messages of other ranks, although all are alive")
 
 
 def test_a_long_exchange_that_waits_for_no_message_is_not_ended(ranks: Ranks, exits: list[int]) -> None:
@@ -143,7 +143,7 @@ def test_a_long_exchange_that_waits_for_no_message_is_not_ended(ranks: Ranks, ex
         for one in (first, second, third):
             stack.enter_context(one.waiting("checkpoint", may_last=True))
         time.sleep(4.0)
-    assert exits == [] and all(one._verdict is None for one in ranks.guards)
+    assert exits == [] and all(verdict_of(one) is None for one in ranks.guards)
     # The hub has been asked, but only once.
     assert ranks.guards[0]._none_behind == (2, 1)
 
@@ -165,19 +165,19 @@ def test_a_verdict_is_withdrawn_when_exchanges_go_on(
     monkeypatch.setattr(guard, "_GRACE_SECONDS", 3.0)
     for turn in range(2):
         with ranks.guards[0].waiting("halo"), ranks.guards[1].waiting("halo"):
-            wait_for(lambda: all(one._verdict for one in ranks.guards))
-            assert str(ranks.guards[1]._verdict).startswith("rank 2 (process 2) hangs in the start")
+            wait_for(lambda: all(verdict_of(one) for one in ranks.guards))
+            assert str(verdict_of(ranks.guards[1])).startswith("rank 2 (process 2) hangs in the start")
         with ranks.guards[2].waiting("halo"):
             pass
-        wait_for(lambda: not any(one._verdict for one in ranks.guards))
-        assert ranks.hub._verdict is None and exits == [], turn
+        wait_for(lambda: not any(verdict_of(one) for one in ranks.guards))
+        assert verdict_of(ranks.hub) is None and exits == [], turn
     assert "goes on, and so does the job\n" in capsys.readouterr().err
     # What has ended cannot go on.
     ranks.kill(2)
-    wait_for(lambda: ranks.guards[0]._verdict)
+    wait_for(lambda: verdict_of(ranks.guards[0]))
     ranks.guards[1]._channel.send(about="goes on")
     wait_for(lambda: exits)
-    assert str(ranks.hub._verdict) == "rank 2 (process 2) has died"
+    assert str(verdict_of(ranks.hub)) == "rank 2 (process 2) has died"
 
 
 def test_only_a_second_look_without_progress_blames(ranks: Ranks, exits: list[int]) -> None:
@@ -197,12 +197,12 @@ def test_only_a_second_look_without_progress_blames(ranks: Ranks, exits: list[in
     with ranks.guards[0].waiting("halo"), ranks.guards[1].waiting("halo"):
         try:
             wait_for(lambda: ranks.hub._queries > 3)
-            assert exits == [] and ranks.hub._verdict is None
+            assert exits == [] and verdict_of(ranks.hub) is None
         finally:
             stop.set()
             thread.join()
-        wait_for(lambda: ranks.hub._verdict)
-    assert "rank 2 (process 2) hangs" in str(ranks.hub._verdict)
+        wait_for(lambda: verdict_of(ranks.hub))
+    assert "rank 2 (process 2) hangs" in str(verdict_of(ranks.hub))
 
 
 def test_a_clock_of_turns_does_not_see_that_it_was_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -225,7 +225,7 @@ def test_a_rank_that_is_behind_hangs(ranks: Ranks, exits: list[int]) -> None:
 def test_a_rank_that_waits_too_long_asks_by_itself(ranks: Ranks, exits: list[int]) -> None:
     with ranks.guards[0].waiting("halo"):  # longer than the time-out
         wait_for(lambda: exits)
-    assert "hangs in the start" in str(ranks.guards[0]._verdict)
+    assert "hangs in the start" in str(verdict_of(ranks.guards[0]))
 
 
 def test_a_rank_that_does_not_answer_is_blamed_last(ranks: Ranks, exits: list[int]) -> None:
@@ -244,8 +244,8 @@ def test_a_hub_that_does_not_answer_is_blamed(ranks: Ranks, exits: list[int], mo
     assert message.startswith(f"rank 0 (process {os.getpid()} on ") and blamed in message
     # Without an error, too.
     with ranks.guards[2].waiting("halo"):
-        wait_for(lambda: ranks.guards[2]._verdict)
-    assert blamed in str(ranks.guards[2]._verdict)
+        wait_for(lambda: verdict_of(ranks.guards[2]))
+    assert blamed in str(verdict_of(ranks.guards[2]))
     # Rank 0 does not blame itself.
     assert fail(ranks.guards[0]) == "connection closed by peer"
 
@@ -271,7 +271,7 @@ def test_rank_0_may_finish_first(ranks: Ranks, exits: list[int]) -> None:
     ranks.guards[0].close()
     assert time.monotonic() - begin < 2.0
     time.sleep(1.0)
-    assert exits == [] and ranks.guards[1]._verdict is None
+    assert exits == [] and verdict_of(ranks.guards[1]) is None
     assert fail(ranks.guards[1]).startswith("rank 0 has ended early")
 
 
@@ -321,8 +321,12 @@ def test_strangers_are_not_believed(incomplete: Ranks, exits: list[int], monkeyp
         while silent.recv(4096):
             pass
     assert ranks.hub._thread.is_alive() and not ranks.hub.is_complete.is_set()
-    assert fail(ranks.guards[0]) != "" and ranks.guards[1]._verdict is None or "hangs" in str(ranks.guards[1]._verdict)
-    assert "lie" not in str([one._verdict for one in ranks.guards])
+    assert (
+        fail(ranks.guards[0]) != ""
+        and verdict_of(ranks.guards[1]) is None
+        or "hangs" in str(verdict_of(ranks.guards[1]))
+    )
+    assert "lie" not in str([verdict_of(one) for one in ranks.guards])
     last = ranks.channel(3)
     assert ranks.hub.is_complete.wait(5.0)
     with pytest.raises(OSError, match="refused"):
@@ -436,11 +440,11 @@ def test_a_hub_that_fails_blames_nobody(
     said = "the hub of the guard, on rank 0, has failed (MemoryError: 8 GiB)"
     assert f"pgccd: {said}" in capsys.readouterr().err
     time.sleep(1.0)  # longer than the grace period
-    assert exits == [] and all(one._verdict is None for one in ranks.guards)
+    assert exits == [] and all(verdict_of(one) is None for one in ranks.guards)
     # Only a message that does not arrive ends the job.
     with ranks.guards[1].waiting("halo"):
         wait_for(lambda: exits)
-    assert ranks.guards[1]._verdict == f"a message has not arrived, and {said}"
+    assert verdict_of(ranks.guards[1]) == f"a message has not arrived, and {said}"
     assert "has died" not in capsys.readouterr().err
 
 
@@ -456,7 +460,7 @@ def test_a_guard_whose_thread_meets_an_error_goes_on(
     ranks.guards[2].activity = "its user's loop"
     with ranks.guards[1].waiting("halo"), ranks.guards[0].waiting("halo"):
         wait_for(lambda: exits)
-    assert ranks.guards[0]._verdict == "rank 2 (process 2) hangs in its user's loop"
+    assert verdict_of(ranks.guards[0]) == "rank 2 (process 2) hangs in its user's loop"
 
 
 def test_ranks_do_not_believe_a_hub_without_the_token() -> None:
@@ -489,7 +493,7 @@ def test_a_line_that_rank_0_has_not_sent(ranks: Ranks, exits: list[int]) -> None
 def test_a_verdict_is_one_printable_line(ranks: Ranks, exits: list[int], capfd: pytest.CaptureFixture[str]) -> None:
     text = "failed\n\x1b[31mpgccd: rank 0 has died\u2028" + 5000 * "x"
     ranks.guards[2]._channel.send(about="failure", text=text)
-    wait_for(lambda: ranks.guards[1]._verdict is not None)
-    verdict = str(ranks.guards[1]._verdict)
+    wait_for(lambda: verdict_of(ranks.guards[1]) is not None)
+    verdict = str(verdict_of(ranks.guards[1]))
     assert verdict.isprintable() and r"failed\n\x1b[31mpgccd" in verdict and len(verdict) <= 2000
     assert all(line.isprintable() for line in capfd.readouterr().err.split("\n"))

@@ -7,7 +7,7 @@ import threading
 from collections.abc import Iterator
 
 import pytest
-from support.guards import Ranks, ranks_of, wait_for
+from support.guards import Ranks, ranks_of, verdict_of, wait_for
 
 from pgccd.distributed import RankFailureError
 from pgccd.distributed.guard import guard
@@ -34,15 +34,15 @@ def test_calls_are_compared(ranks: Ranks, exits: list[int]) -> None:
             assert not one.begin_call("within it")
             one.end_call()
     wait_for(lambda: ranks.hub._members[2].calls == 2)
-    assert ranks.hub._calls == {} and ranks.hub._verdict is None
+    assert ranks.hub._calls == {} and verdict_of(ranks.hub) is None
     third.begin_call("turn")
     wait_for(lambda: ranks.hub._members[2].calls == 3)
-    assert ranks.hub._verdict is None
+    assert verdict_of(ranks.hub) is None
     second.begin_call("make")
     text = "rank 1 (process 1) calls make where rank 2 (process 2) calls turn (call 3)"
     for one in ranks.guards:
-        wait_for(lambda one=one: one._verdict)
-        assert one._verdict == text
+        wait_for(lambda one=one: verdict_of(one))
+        assert verdict_of(one) == text
     with pytest.raises(RankFailureError, match="about to call turn"):
         first.begin_call("turn")
     with pytest.raises(RankFailureError, match="calls make where"), second.waiting("a message"):
@@ -62,7 +62,7 @@ def test_an_error_in_a_call_is_settled_when_no_rank_is_in_it(ranks: Ranks, exits
     third.end_call()
     second.begin_call("next")  # waits until this is known
     assert second._settled.is_set() and not second._has_failed_call and ranks.hub._failed_calls == {}
-    assert ranks.hub._verdict is None
+    assert verdict_of(ranks.hub) is None
 
 
 def test_a_rank_waits_in_a_call_that_another_has_left(ranks: Ranks, exits: list[int]) -> None:
@@ -84,18 +84,18 @@ def test_a_rank_that_has_finished_is_missed_by_a_call(ranks: Ranks, exits: list[
         one.end_call()
     ranks.guards[2].close()
     wait_for(lambda: ranks.hub._members[2].finished)
-    assert ranks.hub._verdict is None
+    assert verdict_of(ranks.hub) is None
     ranks.guards[1].begin_call("next")
-    wait_for(lambda: ranks.hub._verdict)
+    wait_for(lambda: verdict_of(ranks.hub))
     expected = "rank 2 has ended early, after 1 calls, where rank 1 (process 1) calls next (call 2)"
-    assert ranks.hub._verdict == expected
+    assert verdict_of(ranks.hub) == expected
 
 
 def test_stacks_are_printed_if_ranks_hang(ranks: Ranks, exits: list[int], capfd: pytest.CaptureFixture[str]) -> None:
     for one in ranks.guards:
         one.activity = "a loop"
     with ranks.guards[0].waiting("halo"), ranks.guards[1].waiting("halo"):
-        wait_for(lambda: ranks.guards[2]._verdict)
+        wait_for(lambda: verdict_of(ranks.guards[2]))
         said = ""
 
         def is_told() -> bool:
@@ -110,13 +110,13 @@ def test_stacks_are_printed_if_ranks_hang(ranks: Ranks, exits: list[int], capfd:
 def test_the_error_that_ends_a_program_is_told(ranks: Ranks, exits: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(guard.sys, "last_value", KeyError("of the user"), raising=False)
     ranks.guards[1]._leave()
-    wait_for(lambda: ranks.hub._verdict)
-    assert ranks.hub._verdict == "rank 1 (process 1) failed in the start: KeyError: 'of the user'"
+    wait_for(lambda: verdict_of(ranks.hub))
+    assert verdict_of(ranks.hub) == "rank 1 (process 1) failed in the start: KeyError: 'of the user'"
 
 
 def test_the_verdict_is_printed_last(ranks: Ranks, exits: list[int], capsys: pytest.CaptureFixture[str]) -> None:
     ranks.kill(1)
-    wait_for(lambda: ranks.guards[0]._verdict)
+    wait_for(lambda: verdict_of(ranks.guards[0]))
     for one in ranks.guards[::-1]:
         one.close()
     sys.stderr.write("a traceback\n")

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 import torch
+from support.cases import mostly_slow
 from support.crowds import crowds
 from support.ranks import RankPool, to_all
 
@@ -118,8 +119,14 @@ def expected(ranks: RankPool) -> list[Any]:
     return seen
 
 
-@pytest.mark.parametrize("partition", ["cells", "bisection"])
-@pytest.mark.parametrize(("saved_by", "loaded_by"), [(1, 1), (1, 3), (2, 1), (2, 2), (2, 3), (3, 3), (4, 2)])
+NUMBERS = [(1, 1), (1, 3), (2, 1), (2, 2), (2, 3), (3, 3), (4, 2)]
+QUICK = [(1, 1, "cells"), (1, 3, "bisection"), (2, 1, "cells"), (3, 3, "cells"), (4, 2, "bisection")]
+
+
+@pytest.mark.parametrize(
+    ("saved_by", "loaded_by", "partition"),
+    mostly_slow([(*numbers, kind) for numbers in NUMBERS for kind in ("cells", "bisection")], QUICK),
+)
 def test_a_loop_goes_on(
     ranks: RankPool, tmp_path: Path, expected: list[Any], partition: str, saved_by: int, loaded_by: int
 ) -> None:
@@ -182,11 +189,26 @@ def load_deforming(comm: Comm, folder: str, report: str, partition: str) -> int:
     return contacts
 
 
+CASES = [
+    (1, 2, "cells"),
+    (2, 1, "bisection"),
+    (2, 2, "cells"),
+    (2, 3, "cells"),
+    (3, 2, "bisection"),
+    (3, 3, "bisection"),
+]
+QUICK_CASES = [
+    (1, 2, "cells", "first"),
+    (2, 1, "bisection", "all"),
+    (2, 3, "cells", "all"),
+    (3, 2, "bisection", "first"),
+]
+
+
 @pytest.mark.parametrize(
-    ("saved_by", "loaded_by", "partition"),
-    [(1, 2, "cells"), (2, 1, "bisection"), (2, 2, "cells"), (2, 3, "cells"), (3, 2, "bisection"), (3, 3, "bisection")],
+    ("saved_by", "loaded_by", "partition", "report"),
+    mostly_slow([(*case, report) for case in CASES for report in REPORTS[:2]], QUICK_CASES),
 )
-@pytest.mark.parametrize("report", REPORTS[:2])
 def test_deforming_bodies_go_on(
     ranks: RankPool, tmp_path: Path, saved_by: int, loaded_by: int, partition: str, report: str
 ) -> None:

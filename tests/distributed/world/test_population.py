@@ -311,7 +311,7 @@ def test_captured_loops_go_on(ranks: RankPool) -> None:
     expected, counts, _ = ranks.run(1, run_captured, False)[0]
     assert len(expected) == 40 and sum(contacts for _, contacts in counts) > 50
     assert sum(contacts for _, contacts in counts[15:24]) > 9 and counts[24:33] == [(0, 0)] * 9
-    for size in (1, 2, 3):
+    for size in (1, 3):
         found, of_steps, replayed = ranks.run(size, run_captured, True)[0]
         assert found == expected and of_steps == counts and replayed > 12
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from support.cases import few_and_many, mostly_slow
 from support.random_scenes import random_scene
 from support.ranks import RankPool
 from support.resolving import check_boxes
@@ -29,8 +30,6 @@ import pgccd
 from pgccd.distributed import BalanceOptions, CapturedWorld, Comm, DisagreementError
 from pgccd.distributed import World as SharedWorld
 
-SEEDS = range(40)
-
 
 @functools.cache
 def alone(seed: int) -> tuple[Columns, Columns]:
@@ -49,10 +48,11 @@ def alone(seed: int) -> tuple[Columns, Columns]:
 @pytest.mark.parametrize(
     "size", [1, pytest.param(2, marks=pytest.mark.slow), 3, pytest.param(4, marks=pytest.mark.slow)]
 )
-def test_random_scenes(ranks: RankPool, size: int) -> None:
-    answers = ranks.run(size, resolve_scenes, SEEDS, "cpu")
+@few_and_many("count", 24, 40)
+def test_random_scenes(ranks: RankPool, size: int, count: int) -> None:
+    answers = ranks.run(size, resolve_scenes, range(count), "cpu")
     seen = dict.fromkeys(("stopped", "touching_at_start", "unresolved", "rounds"), 0)
-    for k, seed in enumerate(SEEDS):
+    for k, seed in enumerate(range(count)):
         whole, hits = alone(seed)
         for rank in answers:
             own, found, told = rank[k]
@@ -73,8 +73,9 @@ def test_random_scenes(ranks: RankPool, size: int) -> None:
 CROWDS, BODIES = 260, 8
 
 
-@pytest.mark.parametrize("deforming", [False, True])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(
+    ("seed", "deforming"), mostly_slow(itertools.product(range(4), (False, True)), [(0, True), (1, False), (2, True)])
+)
 def test_crowds_do_not_overlap(ranks: RankPool, seed: int, deforming: bool) -> None:
     """2,080 crowds: equal to one process, whose result an independent test of overlaps looks at."""
     crowds = Crowds(seed, CROWDS, BODIES, deforming)
