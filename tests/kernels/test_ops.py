@@ -156,8 +156,10 @@ def recorded(device: torch.device) -> list[Call]:
     return recorder.calls
 
 
-@pytest.mark.parametrize("every", [40, pytest.param(10, marks=pytest.mark.slow)])
-def test_opcheck(device: torch.device, every: int) -> None:
+@pytest.mark.parametrize("traced", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_opcheck(device: torch.device, traced: bool) -> None:
+    """Schemas and fake kernels; slow tests also trace the operators with dynamic shapes."""
+    every = 10 if traced else 40
     calls = recorded(device)
     names = {name for name, _ in calls}
     registered = torch._C._dispatch_get_registrations_for_dispatch_key(device.type.upper())
@@ -178,7 +180,8 @@ def test_opcheck(device: torch.device, every: int) -> None:
         unequal |= {"traverse_rigid", "traverse_deforming"}  # the order of candidates is unspecified
     for name in names - unequal:
         arguments = next(a for n, a in calls if n == name)
-        torch.library.opcheck(getattr(torch.ops.pgccd, name).default, arguments)
+        utilities = ("test_autograd_registration", *(["test_aot_dispatch_dynamic"] if traced else []))
+        torch.library.opcheck(getattr(torch.ops.pgccd, name).default, arguments, test_utils=utilities)
 
 
 def shapes(values: Any) -> list[tuple[Any, ...]]:

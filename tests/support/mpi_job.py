@@ -29,7 +29,7 @@ test_pcccd.compare(comm, "on corners of many cells")
 test_rank.follow(comm, "random", "cost", 12, True, True)
 for seed, (own, found, _) in enumerate(resolve_scenes(comm, range(8), "cpu")):
     scene = random_scene(seed)
-    rows = scene._rows(own) if scene.kind.startswith("deforming") else None
+    rows = scene.rows_of(own) if scene.kind.startswith("deforming") else None
     said = difference(found, of_rank(test_resolve.alone(seed)[0], own, rows))
     assert said is None, f"{scene}: {said}"
 test_payload.ask(comm, next(iter(test_payload.CROWDS)))

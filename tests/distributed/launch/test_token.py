@@ -49,13 +49,13 @@ def content(store: dist.Store) -> list[bytes]:
 
 def test_through_a_file_that_others_cannot_read(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     modes = []
-    read = token._read
+    read = token.read_private
 
     def read_and_look(path: Path) -> bytes:
         modes.append(stat.S_IMODE(path.stat().st_mode))
         return read(path)
 
-    monkeypatch.setattr(token, "_read", read_and_look)
+    monkeypatch.setattr(token, "read_private", read_and_look)
     store = dist.HashStore()
     found = share(store)
     assert len(set(found)) == 1 and len(found[0]) == 32
@@ -68,7 +68,7 @@ def test_through_a_file_that_others_cannot_read(cache: Path, monkeypatch: pytest
 @pytest.mark.parametrize("one_machine", [False, True])
 def test_the_store_hands_out_no_token(cache: Path, monkeypatch: pytest.MonkeyPatch, one_machine: bool) -> None:
     """Neither to ranks that see no file, nor to a stranger who says so."""
-    monkeypatch.setattr(token, "_read", lambda path: b"")
+    monkeypatch.setattr(token, "read_private", lambda path: b"")
     store = dist.HashStore()
     store.add("token/lacking", 1)
     first, *others = share(store, one_machine)
@@ -84,13 +84,13 @@ def test_the_store_hands_out_no_token(cache: Path, monkeypatch: pytest.MonkeyPat
 
 def test_a_file_that_another_machine_sees_late(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(token, "_SEEN_WITHIN", 20.0)
-    looks, read = [], token._read
+    looks, read = [], token.read_private
 
     def late(path: Path) -> bytes:
         looks.append(path)
         return read(path) if len(looks) > 6 else b""
 
-    monkeypatch.setattr(token, "_read", late)
+    monkeypatch.setattr(token, "read_private", late)
     assert len(set(share(dist.HashStore()))) == 1
     del looks[:]
     assert "is no private file" in str(share(dist.HashStore(), one_machine=True)[1])
@@ -111,25 +111,36 @@ def test_through_the_environment(cache: Path, monkeypatch: pytest.MonkeyPatch) -
     assert not cache.exists()
 
 
-def test_what_is_no_token_is_not_taken_for_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def read_by_a_rank(path: Path) -> bytes:
+    """The token that a rank takes from this file of rank 0; empty if it refuses it."""
+    store = dist.HashStore()
+    store.set("token/file", str(path))
+    try:
+        return share_token(store, Placement("srun", 1, SIZE, 0, True), 20.0)
+    except RuntimeError as error:
+        assert "is no private file" in str(error)
+        return b""
+
+
+def test_what_is_no_token_is_not_taken_for_one(cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "token"
-    assert token._read(path) == b"" and token._read(tmp_path) == b""
+    assert read_by_a_rank(path) == b"" and read_by_a_rank(tmp_path) == b""
     for given in (b"", b"x" * 31, b"x" * 33, b"x" * 5000):
         path.write_bytes(given)
         path.chmod(0o600)
-        assert token._read(path) == b""
+        assert read_by_a_rank(path) == b""
     path.write_bytes(b"x" * 32)
-    assert token._read(path) == b"x" * 32
+    assert read_by_a_rank(path) == b"x" * 32
     (tmp_path / "link").symlink_to(path)
-    assert token._read(tmp_path / "link") == b""
+    assert read_by_a_rank(tmp_path / "link") == b""
     os.mkfifo(tmp_path / "pipe", 0o600)  # would wait for a writer
-    assert token._read(tmp_path / "pipe") == b""
+    assert read_by_a_rank(tmp_path / "pipe") == b""
     for mode in (0o640, 0o604, 0o620):  # others may know it, or have written it
         path.chmod(mode)
-        assert token._read(path) == b""
+        assert read_by_a_rank(path) == b""
     path.chmod(0o600)
     monkeypatch.setattr(private_files.os, "getuid", lambda: path.stat().st_uid + 1)  # another user's
-    assert token._read(path) == b""
+    assert read_by_a_rank(path) == b""
 
 
 def test_ranks_that_do_not_come(cache: Path) -> None:
@@ -148,7 +159,7 @@ def of_slurm(folder: str, variables: dict[str, str]) -> int:
     os.environ |= {"XDG_CACHE_HOME": f"{folder}/{rank}", **variables}
     token._SEEN_WITHIN = 0.1
     if rank == "1":
-        token._read = lambda path: b""  # type: ignore[assignment]
+        token.read_private = lambda path: b""  # type: ignore[assignment]
     return command_line("simulate", "--robots", "9", "--steps", "1", "--timeout", "4", "--out", f"{folder}/out")
 
 

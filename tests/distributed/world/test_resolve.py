@@ -57,7 +57,7 @@ def test_random_scenes(ranks: RankPool, size: int, count: int) -> None:
         for rank in answers:
             own, found, told = rank[k]
             scene = random_scene(seed)
-            rows = scene._rows(own) if scene.kind.startswith("deforming") else None
+            rows = scene.rows_of(own) if scene.kind.startswith("deforming") else None
             said = difference(found, of_rank(whole, own, rows))
             if hits:
                 concerns = torch.isin(hits["pairs"], own).any(dim=1)
