@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import pytest
 import torch
 from strategies import contacts
 from support.candidates import assert_touching, missed
-from support.cases import few_and_many
+from support.cases import few_and_many, mostly_slow
 from support.host_program import run_program
 from support.origins import moved_to
 from support.same_bits import columns_of, difference, first_rows
@@ -70,8 +71,10 @@ class Spinning:
         return found, int(node_tests)
 
 
-@pytest.mark.parametrize("arm", [0.0, 3.0, 20.0])
-@pytest.mark.parametrize("turn", [30.0, 90.0, 400.0])
+@pytest.mark.parametrize(
+    ("turn", "arm"),
+    mostly_slow(itertools.product((30.0, 90.0, 400.0), (0.0, 3.0, 20.0)), [(30.0, 20.0), (90.0, 3.0), (400.0, 0.0)]),
+)
 def test_contacts_are_those_of_all_feature_pairs(device: torch.device, turn: float, arm: float) -> None:
     spinning = Spinning.of(turn, arm, device)
     found = spinning.candidates()[0]
@@ -82,8 +85,10 @@ def test_contacts_are_those_of_all_feature_pairs(device: torch.device, turn: flo
     assert len(rows[0]["toi"]) > 50 and difference(*rows) is None
 
 
-@pytest.mark.parametrize("arm", [0.0, 3.0, 20.0])
-@pytest.mark.parametrize("turn", [90.0, 2000.0])
+@pytest.mark.parametrize(
+    ("turn", "arm"),
+    mostly_slow(itertools.product((90.0, 2000.0), (0.0, 3.0, 20.0)), [(90.0, 3.0), (90.0, 20.0), (2000.0, 0.0)]),
+)
 def test_one_contact_of_each_pair_is_the_first_of_all(device: torch.device, turn: float, arm: float) -> None:
     """Also where the first is found long after the part of the step that is searched at first."""
     spinning = Spinning.of(turn, arm, device)
