@@ -201,12 +201,12 @@ def test_functions_are_compared_by_their_code() -> None:
     within_itself["self"] = within_itself
     assert code.code_of(function_with({"factor": within_itself}))
     # In another process, where sets of strings have another order.
-    program = "import sys; sys.path.insert(0, 'tests'); from pgccd.distributed.launch import code; "
-    program += "f = lambda bodies: bodies in {'a', 'b', 'c', 'd', 'e'}; print(code.code_of(f))"
+    function = "f = lambda bodies: bodies in {'a', 'b', 'c', 'd', 'e'}"
+    program = f"from pgccd.distributed.launch import code; {function}; print(code.code_of(f))"
     seed = "2" if os.environ.get("PYTHONHASHSEED") == "1" else "1"
     said = finish([sys.executable, "-c", program], PYTHONHASHSEED=seed).stdout
-    known: dict[str, Any] = {}
-    exec("f = lambda bodies: bodies in {'a', 'b', 'c', 'd', 'e'}", known)
+    known: dict[str, Any] = {"__name__": "__main__"}
+    exec(compile(function, "<string>", "exec", dont_inherit=True), known)
     assert said.strip() == code.code_of(known["f"]) and "<lambda> (" in said, said
 
 
