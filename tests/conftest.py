@@ -1,12 +1,14 @@
-"""Fixtures of all tests: devices; and which tests do not run: slow ones, those of a GPU without one."""
+"""Fixtures of all tests: devices, ranks; and which tests do not run: slow ones, those of a GPU without one."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 
 import pytest
 import torch
 from hypothesis import HealthCheck, settings
+from support.ranks import ON_FOUR, RankPool, World
 
 # torch's stores look up the names of the addresses that connect to them; a lost answer otherwise costs 5 s.
 os.environ.setdefault("RES_OPTIONS", "timeout:1 attempts:1")
@@ -41,3 +43,27 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 def device(request: pytest.FixtureRequest) -> torch.device:
     """Each device in turn."""
     return torch.device(request.param)
+
+
+@pytest.hookimpl(tryfirst=True)  # before tests are selected by their marks
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Marks the tests on the pool of ranks."""
+    for item in items:
+        if "ranks" in getattr(item, "fixturenames", ()):
+            item.add_marker(pytest.mark.ranks)
+
+
+@pytest.fixture(scope="session")
+def ranks() -> Iterator[RankPool]:
+    """The pool of ranks of this worker."""
+    pool = RankPool()
+    yield pool
+    pool.close()
+
+
+@pytest.fixture(params=ON_FOUR)
+def world(request: pytest.FixtureRequest, ranks: RankPool) -> World:
+    """Runs world(job, *arguments) on 1 and 4 ranks in turn (1 and 3 in tests marked `on_three`), with `-m slow` on the
+    other numbers up to 4; returns the ranks' results.
+    """
+    return lambda job, *arguments: ranks.run(request.param, job, *arguments)

@@ -2,10 +2,11 @@
 
 python tests/mutants.py [--only NAME ...] [--list] [--jobs N] [--rest] [--equivalents] [--folder PATH]
 
-For each mutant of `mutants_of` the test modules it names must fail ("killed"), or it must be marked as equivalent,
-with the reason. Works on a copy of the project with its own build folder, for the CPU only. Mutants that replace one
-expression by another are compiled together and selected by an environment variable; the others one by one. Prints a
-table, and exits with 1 if a mutant survived or if the unchanged copy fails its tests.
+For each mutant of `mutants_of` the test modules it names must fail ("killed"; their slow tests are run if the others
+pass), or it must be marked as equivalent, with the reason. Works on a copy of the project with its own build folder,
+for the CPU only. Mutants that replace one expression by another are compiled together and selected by an environment
+variable; the others one by one. Prints a table, and exits with 1 if a mutant survived or if the unchanged copy fails
+its tests.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ ROOT = Path(__file__).resolve().parents[1]
 VARIABLE = "PGCCD_MUTANT"
 # A mutant whose tests take longer counts as an endless loop.
 SECONDS = 900
+SLOW_SECONDS = 7200
 _LEFT_OUT = {".git", ".venv", "build", "out", "results", "__pycache__", ".mypy_cache", ".ruff_cache", ".pytest_cache"}
 _SWITCH = f"""
 #include <cstdlib>
@@ -130,26 +132,37 @@ class Copy:
         if done.returncode:
             raise SystemExit(f"the copy does not compile:\n{done.stdout[-4000:]}\n{done.stderr[-4000:]}")
 
-    def test(self, targets: Iterable[str], number: int = 0) -> tuple[bool, str]:
-        """Whether the tests pass, and the first that fails."""
+    def test(self, targets: Iterable[str], number: int = 0, slow: bool = False) -> tuple[bool, str]:
+        """Whether the tests pass, and the first that fails. With `slow`, only the slow tests."""
         names = [f"tests/{t}" for t in targets]
         command = [sys.executable, "-m", "pytest", "-q", "-x", "--tb=no", "-p", "no:cacheprovider", *names]
+        command += ["-m", "slow" if slow else "not slow"]
+        seconds = SLOW_SECONDS if slow else SECONDS
         environment = {**os.environ, VARIABLE: str(number), "PYTHONPATH": str(self.folder), "OMP_NUM_THREADS": "1"}
         try:
             done = subprocess.run(
-                command, cwd=self.folder, env=environment, capture_output=True, text=True, timeout=SECONDS
+                command, cwd=self.folder, env=environment, capture_output=True, text=True, timeout=seconds
             )
         except subprocess.TimeoutExpired:
             return False, "time-out"
+        if done.returncode == 5 and slow:  # there are none
+            return True, ""
         if done.returncode in (2, 3, 4, 5):  # no test was run
             raise SystemExit(f"pytest {' '.join(names)}:\n{done.stdout[-4000:]}\n{done.stderr[-2000:]}")
-        failed = re.search(r"^(?:FAILED|ERROR) tests/(\S+)", done.stdout, re.MULTILINE)
+        failed = re.search(r"^(?:FAILED|ERROR) tests/(.+?)(?: - .*)?$", done.stdout, re.MULTILINE)
         return done.returncode == 0, failed[1] if failed else f"exit status {done.returncode}"
 
 
 def verdict(copy: Copy, mutant: Mutant, number: int, rest: bool) -> str:
     """The verdict on the mutant compiled in as `number`."""
     passed, by = copy.test(mutant.killed_by, number)
+    if passed and not mutant.equivalent:
+        passed, by = copy.test(mutant.killed_by, number, slow=True)
+        if not passed and "::" in by:
+            if not mutant.switched:
+                copy.write({})
+                copy.build()
+            require_unchanged_passes(copy, [by], slow=True)
     if passed and rest and not mutant.equivalent:
         passed, by = copy.test([""], number)
     if passed:
@@ -157,11 +170,16 @@ def verdict(copy: Copy, mutant: Mutant, number: int, rest: bool) -> str:
     return f"{'NOT EQUIVALENT: ' if mutant.equivalent else ''}killed by {by}"
 
 
-def require_unchanged_passes(copy: Copy, mutants: list[Mutant]) -> None:
-    """Ends the program if a test of these fails without any of them: it would seem to kill them all."""
-    passed, by = copy.test(sorted({target for mutant in mutants for target in mutant.killed_by}))
+def require_unchanged_passes(copy: Copy, targets: Iterable[str], slow: bool = False) -> None:
+    """Ends the program if one of these tests fails without any mutant: it would seem to kill them all."""
+    passed, by = copy.test(sorted(set(targets)), slow=slow)
     if not passed:
         raise SystemExit(f"without any mutant: {by} fails")
+
+
+def targets_of(mutants: Iterable[Mutant]) -> list[str]:
+    """The tests that must fail for these mutants."""
+    return [target for mutant in mutants for target in mutant.killed_by]
 
 
 def run(mutants: list[Mutant], folder: Path, jobs: int, rest: bool) -> dict[str, str]:
@@ -185,14 +203,14 @@ def run(mutants: list[Mutant], folder: Path, jobs: int, rest: bool) -> dict[str,
         written[platform] = (ROOT / platform).read_text() + _SWITCH
         copy.write(written)
         copy.build()
-        require_unchanged_passes(copy, batch)
+        require_unchanged_passes(copy, targets_of(batch))
         with ThreadPoolExecutor(jobs) as pool:
             list(pool.map(judge, numbered))
     one_by_one = [m for m in mutants if not m.switched]
     if one_by_one:
         copy.write({})
         copy.build()
-        require_unchanged_passes(copy, one_by_one)
+        require_unchanged_passes(copy, targets_of(one_by_one))
     for mutant in one_by_one:
         copy.write({mutant.file: with_mutant(mutant, texts[mutant.file])})
         if mutant.file.startswith("csrc"):

@@ -55,8 +55,7 @@ def test_threads_chunks_and_repetition(device: torch.device, kind: str, report: 
     assert len(reference) > (0 if report == "earliest" else 20)
     for threads in (1, 2, 3):
         torch.set_num_threads(threads)
-        for _ in range(2):
-            assert_same(detected(scene, motion, report), reference)
+        assert_same(detected(scene, motion, report), reference)
     chunks = set()
     for budget in (1, 40_000, 300_000, 10**8):
         hits = detected(scene, motion, report, memory_budget=budget)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from unittest import mock
 
 import pytest
 import torch
+from support.cases import mostly_slow
 from support.documents import (
     CHECKED_BY_THEMSELVES,
     EXAMPLES,
@@ -19,6 +21,8 @@ from support.documents import (
     run_document,
     steps_recorded,
 )
+
+from pgccd import distributed
 
 DOCUMENTS = {path.name: path for path in (*PAGES, *EXAMPLES)}
 
@@ -38,14 +42,24 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     torch.manual_seed(0)
 
 
-# `tests/distributed/test_loops.py` runs it too.
-ON_MANY_RANKS = "04_many_ranks.py"
+# They start themselves again on four ranks; `tests/distributed/world/test_loops.py` runs them on two.
+ON_MANY_RANKS = ("04_many_ranks.py", "08_impulses.py")
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow if name == ON_MANY_RANKS else []) for name in DOCUMENTS]
-)
+@pytest.mark.parametrize("name", mostly_slow(DOCUMENTS, set(DOCUMENTS) - set(ON_MANY_RANKS)))
 def test_documents(name: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    check_document(name, capsys, monkeypatch)
+
+
+@pytest.mark.parametrize("name", ON_MANY_RANKS)
+def test_examples_on_one_rank(name: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without their last part, which starts ranks."""
+    monkeypatch.setattr(distributed, "find_placement", lambda: mock.Mock(launcher="tests"))
+    check_document(name, capsys, monkeypatch)
+
+
+def check_document(name: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs a document and checks the steps of its loops."""
     if any("load_urdf(" in block for block in blocks(DOCUMENTS[name])):
         pytest.importorskip("yourdfpy")
     monkeypatch.setattr(sys, "argv", [str(DOCUMENTS[name])])

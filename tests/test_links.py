@@ -45,9 +45,14 @@ def broken_links(page: Path) -> list[str]:
 
 
 def missing_files(page: Path) -> list[str]:
-    """The paths in a page, from the root, of files that do not exist. NAME, STAGE and FAMILY stand for any name."""
+    """The paths in a page, from the root, of files that do not exist; and tests named without their folder, or with
+    the end of it. Names in capitals, such as NAME, stand for any name.
+    """
     named = re.findall(rf"`((?:{'|'.join(FOLDERS)})/[^`\s]*)`", text_of(page))
-    return [name for name in named if not any(ROOT.glob(re.sub("NAME|STAGE|FAMILY", "*", name).rstrip("/")))]
+    patterns = [re.sub("NAME|STAGE|FAMILY|PACKAGE|MODULE", "*", name).rstrip("/") for name in named]
+    missing = [name for name, pattern in zip(named, patterns, strict=True) if not any(ROOT.glob(pattern))]
+    tests = re.findall(r"`((?!tests/)(?:\w+/)*test_\w+\.py)`", text_of(page))
+    return missing + [name for name in tests if not any((ROOT / "tests").rglob(name))]
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
@@ -62,6 +67,8 @@ def test_broken_links_are_noticed(tmp_path: Path) -> None:
         "# One & two: `three`\n## Part\n## Part\n[1](#one--two-three) [2](page.md#part-1) [3](https://example.org/a#b)\n"
         "```\n# Comment\n[4](lost.md)\n```\n[5](lost.md) ![6](lost.png) [7](#comment) [8](page.md#part-2)\n"
         "`docs/lost.md` `bench/results/lost-*.json` `docs/NAME.md` `pgccd/distributed/` `lost.md`\n"
+        "`test_lost.py` `sim/test_lost.py` `tests/test_lost.py` `test_links.py` `sim/test_runner.py`\n"
     )
     assert broken_links(page) == ["lost.md", "lost.png", "#comment", "page.md#part-2"]
-    assert missing_files(page) == ["docs/lost.md", "bench/results/lost-*.json"]
+    lost = ["docs/lost.md", "bench/results/lost-*.json", "tests/test_lost.py", "test_lost.py", "sim/test_lost.py"]
+    assert missing_files(page) == lost

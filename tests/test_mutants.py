@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import mutants
 import pytest
@@ -49,13 +50,33 @@ def test_a_test_that_always_fails_kills_no_mutant(
         def build(self) -> None:
             pass
 
-        def test(self, targets: Iterable[str], number: int = 0) -> tuple[bool, str]:
+        def test(self, targets: Iterable[str], number: int = 0, slow: bool = False) -> tuple[bool, str]:
             return False, "test_mutants.py::test_m"
 
     monkeypatch.setattr(mutants, "Copy", Failing)
     mutant = Mutant("m", "tests/mutants.py", "SECONDS = 900", "SECONDS = 0", ("test_mutants.py",), switched=switched)
     with pytest.raises(SystemExit, match="^without any mutant: test_mutants.py::test_m fails"):
         mutants.run([mutant], tmp_path, 1, False)
+
+
+@pytest.mark.parametrize("fails_always", [False, True])
+def test_slow_tests_run_on_what_others_leave(fails_always: bool) -> None:
+    class Slow:
+        def __init__(self) -> None:
+            self.ran: list[tuple[int, bool]] = []
+
+        def test(self, targets: Iterable[str], number: int = 0, slow: bool = False) -> tuple[bool, str]:
+            self.ran.append((number, slow))
+            return not slow or (number == 0 and not fails_always), "test_mutants.py::test_m"
+
+    copy: Any = Slow()
+    mutant = Mutant("m", "f", "b", "c", ("test_mutants.py",))
+    if fails_always:
+        with pytest.raises(SystemExit, match="^without any mutant: test_mutants.py::test_m fails"):
+            mutants.verdict(copy, mutant, 3, False)
+    else:
+        assert mutants.verdict(copy, mutant, 3, False) == "killed by test_mutants.py::test_m"
+    assert copy.ran == [(3, False), (3, True), (0, True)]
 
 
 def test_mutants_compiled_together_do_not_overlap() -> None:

@@ -451,6 +451,7 @@ def test_refusals_name_what_was_passed() -> None:
         pgccd.Trajectory(x, UPRIGHT, rotation=wanting(one))
 
 
+@pytest.mark.slow
 def test_compiled(device: torch.device) -> None:
     """Elementary tests as one graph; `detect` breaks it."""
     start, end = (torch.randn(300, 4, 3, dtype=torch.float64, device=device) for _ in range(2))

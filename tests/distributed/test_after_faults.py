@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import re
-import shutil
 import signal
 import time
 from collections.abc import Callable
@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.cases import mostly_slow
 from support.faulty_run import CONFIG, EVERY, FAULTS, STEP, STEPS, TIMEOUT, job, undisturbed_job
 from support.forked_job import ForkedJob
 
@@ -40,7 +41,8 @@ GO_ON = {"the hub fails": "pgccd: the hub of the guard, on rank 0, has failed", 
 GO_ON |= {"clocks jump": "^$", "a rank is interrupted": "^$"}
 
 
-QUICK = ("a rank is killed while it writes", "a rank fails", "clocks jump")
+#: Faults of every run, and the number of ranks that continues.
+QUICK = [("a rank is killed while it writes", 2), ("a rank fails", 4), ("clocks jump", 2)]
 
 
 def hashes(folder: Path) -> list[tuple[str, str]]:
@@ -59,10 +61,10 @@ def go_on(comm: Comm, folder: str) -> int:
     return resume(folder, comm=comm).steps_made
 
 
-@pytest.mark.parametrize(
-    "fault", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in FAULTS]
-)
-def test_another_number_of_ranks_continues(fault: str, ranks: Any, tmp_path: Path, expected: list[Any]) -> None:
+@pytest.mark.parametrize(("fault", "size"), mostly_slow(itertools.product(FAULTS, (2, 4)), QUICK))
+def test_another_number_of_ranks_continues(
+    fault: str, size: int, ranks: Any, tmp_path: Path, expected: list[Any]
+) -> None:
     folder = tmp_path / "run"
     with ForkedJob(RANKS, tmp_path / "said", job, fault, str(folder)) as started:
         if fault == "all are suspended":
@@ -75,11 +77,8 @@ def test_another_number_of_ranks_continues(fault: str, ranks: Any, tmp_path: Pat
     made = sim.load_checkpoint(folder).steps_made
     # The last checkpoint before the fault may not have been complete.
     assert STEP < made <= STEPS if fault in GO_ON else made in (EVERY, 2 * EVERY)
-    for size in (2, 4):
-        copy = tmp_path / f"by {size}"
-        shutil.copytree(folder, copy)
-        assert ranks.run(size, go_on, str(copy)) == [STEPS] * size
-        assert hashes(copy) == expected
+    assert ranks.run(size, go_on, str(folder)) == [STEPS] * size
+    assert hashes(folder) == expected
 
 
 @pytest.mark.slow

@@ -19,7 +19,7 @@ from typing import Any
 import pytest
 from support.launch import ROOT, SUPPORT, children, environment, finish, mpirun, start_ranks, torchrun
 
-from distributed.test_command import AGAIN, SIMULATE, WORLD, hashes, log, wait_for_checkpoint
+from distributed.test_simulate import AGAIN, SIMULATE, WORLD, hashes, log, wait_for_checkpoint
 from pgccd import sim
 
 pytestmark = [pytest.mark.ranks, pytest.mark.slow]

@@ -16,7 +16,7 @@ DEVICES = ["cpu", pytest.param("cuda", marks=pytest.mark.cuda)]
 @pytest.mark.slow
 @pytest.mark.parametrize("device", DEVICES)
 def test_ranks_give_the_same_bits(ranks: RankPool, device: str) -> None:
-    with mock.patch.object(ways, "_all_ways", return_value=()):
+    with mock.patch.object(ways, "all_ways", return_value=()):
         assert not list(map(str, ways.differences(map(hard_scene, range(40)), [device], ranks, 3)))
 
 

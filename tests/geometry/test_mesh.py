@@ -13,6 +13,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracle.mesh import sphere_bound, unique_edges, used_vertices
+from support.hierarchies import WIDTH, Hierarchy, assert_encloses, prepared, walk
 from support.shapes import bumpy
 
 import pgccd
@@ -20,47 +21,6 @@ from pgccd import ops
 from pgccd.geometry.mesh import LEAF_SIZE
 
 MOST_DEPTH = 48
-WIDTH = 8
-
-
-def prepared(mesh: pgccd.Mesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Triangles (F, 8), node blocks (n, 4, 8) and links (n, 8, 2), as the operators take them."""
-    tensors = pgccd.MeshSet([mesh]).tensors
-    return tensors[3].numpy(), tensors[4].numpy(), tensors[5].numpy()
-
-
-def walk(links: np.ndarray) -> tuple[list[tuple[int, int, int]], int]:
-    """(node, first triangle, triangle count) of every node, unordered, and the depth."""
-    found, deepest = [], 0
-
-    def visit(node: int, depth: int) -> tuple[int, int]:
-        nonlocal deepest
-        deepest = max(deepest, depth)
-        first, count = links[node // WIDTH, node % WIDTH, :2].tolist()
-        if count == 0:
-            below = [
-                visit(first * WIDTH + slot, depth + 1)
-                for slot in range(WIDTH)
-                if links[first, slot, 1] >= 0  # otherwise an empty slot
-            ]
-            assert first > node // WIDTH and below, "blocks of parents precede those of their children"
-            first, count = min(b[0] for b in below), sum(b[1] for b in below)
-        found.append((node, first, count))
-        return first, count
-
-    visit(0, 1)
-    return found, deepest
-
-
-def assert_encloses(blocks: np.ndarray, links: np.ndarray, triangles: np.ndarray, x: np.ndarray) -> None:
-    """Asserts that each node's volume encloses its triangles' vertices, exactly up to this test's rounding."""
-    for node, first, count in walk(links)[0]:
-        volume = blocks[node // WIDTH, :, node % WIDTH].astype(np.longdouble)
-        arms = x[triangles[first : first + count, :3]].reshape(-1, 3).astype(np.longdouble) - volume[:3]
-        assert np.sqrt((arms**2).sum(axis=1)).max() <= volume[3] * np.longdouble(1 + 1e-17)
-        if len(volume) > 4:  # also a slab about the same centre
-            along = arms @ volume[4:7]
-            assert along.min() >= volume[7] and along.max() <= volume[8]
 
 
 @given(strategies.extended_meshes())
@@ -168,7 +128,7 @@ def test_set_offsets_and_padding() -> None:
         assert torch.equal(vertices[low[0] : high[0]], mesh.vertices)
         assert torch.equal(faces[low[1] : high[1]], mesh.faces)
         assert torch.equal(edges[low[2] : high[2]], mesh.edges)
-        assert torch.equal(joined.tensors[6][low[4] : high[4]], mesh._leaf_points)
+        assert torch.equal(joined.tensors[6][low[4] : high[4]], Hierarchy.of(mesh).leaf_points)
         assert joined.radius[k] == mesh.radius
     assert len(triangles) == sum(len(m.faces) for m in meshes)
 
@@ -179,15 +139,15 @@ def test_leaves_list_the_vertices_of_their_triangles() -> None:
     faces = np.array([[k, k + 1, k + 2] for k in range(28)])
     lengths = set()
     for mesh in (bumpy(np.random.default_rng(0), 2), pgccd.Mesh(strip, faces, origin="centroid")):
-        triangles = mesh._triangles.numpy()
+        triangles, _, links, leaf_points, _ = Hierarchy.of(mesh)
         x = (mesh.vertices - mesh.centre_offset).float()
-        for first, count, row, rows in mesh._node_links.view(-1, 4).tolist():
+        for first, count, row, rows in links.view(-1, 4).tolist():
             if count <= 0:
                 assert rows == 0
                 continue
-            points = mesh._leaf_points[row : row + rows]
+            points = leaf_points[row : row + rows]
             listed = points[:, 3].reshape(-1).tolist()
-            used = sorted(set(triangles[first : first + count, :3].ravel().tolist()))
+            used = sorted(set(triangles[first : first + count, :3].reshape(-1).tolist()))
             assert listed == used + [used[-1]] * (8 * rows - len(used)) and rows == -(-len(used) // 8)
             places = points[:, :3].transpose(1, 2).reshape(-1, 3).view(torch.float32)
             assert torch.equal(places, x[listed])
@@ -201,7 +161,7 @@ def test_blocks_are_mostly_full(subdivisions: int) -> None:
     """A block is tested as a whole. Blocks filled from their largest nodes alone, top down, leave two leaves each to
     many of the last ones: less than four nodes on average.
     """
-    links = bumpy(np.random.default_rng(0), subdivisions)._node_links.view(-1, 8, 4)
+    links = Hierarchy.of(bumpy(np.random.default_rng(0), subdivisions)).links.view(-1, 8, 4)
     below_the_root = links[1:, :, 1] >= 0
     assert below_the_root.sum(dim=1).float().mean() > 5.5
 
@@ -222,12 +182,13 @@ def smallest_radius(points: np.ndarray) -> float:
 
 def test_spheres_of_leaves_are_nearly_the_smallest() -> None:
     mesh = bumpy(np.random.default_rng(0), 2)
-    radii = mesh._node_blocks[:, 3].reshape(-1)
+    _, blocks, links, leaf_points, _ = Hierarchy.of(mesh)
+    radii = blocks[:, 3].reshape(-1)
     compared = 0
-    for radius, (_, count, row, rows) in zip(radii.tolist(), mesh._node_links.view(-1, 4).tolist(), strict=True):
+    for radius, (_, count, row, rows) in zip(radii.tolist(), links.view(-1, 4).tolist(), strict=True):
         if count <= 0:
             continue
-        points = mesh._leaf_points[row : row + rows, :3].transpose(1, 2).reshape(-1, 3).view(torch.float32)
+        points = leaf_points[row : row + rows, :3].transpose(1, 2).reshape(-1, 3).view(torch.float32)
         smallest = smallest_radius(np.unique(points.double().numpy(), axis=0))
         assert smallest * (1.0 - 1e-6) <= radius <= smallest * 1.0011
         compared += 1
@@ -241,9 +202,10 @@ def test_triangles_at_one_place_and_far_apart(count: int) -> None:
     far = [corner + [4.0**k, 0.0, 0.0] for k in range(1, 40)]
     vertices = np.concatenate([*[corner] * count, *far])
     mesh = pgccd.Mesh(vertices, np.arange(len(vertices)).reshape(-1, 3))
-    links = mesh._node_links.view(-1, 4)
+    triangles, _, links, *_ = Hierarchy.of(mesh)
+    links = links.view(-1, 4)
     leaves = links[links[:, 1] > 0]
-    assert torch.equal(torch.sort(mesh._triangles[:, 6])[0], torch.arange(count + 39, dtype=torch.int32))
+    assert torch.equal(torch.sort(triangles[:, 6])[0], torch.arange(count + 39, dtype=torch.int32))
     assert int(leaves[:, 1].sum()) == count + 39 and int(leaves[:, 1].max()) <= LEAF_SIZE
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from search.test_broad import agreed, check
+from support.broad_phases import agreed, check
 
 # Directions with integer coordinates and integer length: touching is then decided in integers.
 TRIPLES = ((0, 0, 1), (1, 2, 2), (2, 3, 6), (1, 4, 8), (4, 4, 7))

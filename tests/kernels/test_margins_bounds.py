@@ -7,8 +7,9 @@ from fractions import Fraction
 import numpy as np
 import pytest
 import torch
-from geometry.test_mesh import assert_encloses, prepared
 from strategies import contacts
+from support.cases import few_and_many
+from support.hierarchies import assert_encloses, prepared
 from support.shapes import bumpy, directions, tensors, turned, unit_quaternions
 
 import pgccd
@@ -79,10 +80,11 @@ def test_refit_at_random() -> None:
         assert_refit_encloses(mesh, [ends[0], 2.0 * ends[1]])
 
 
-def test_refit_of_single_triangles() -> None:
+@few_and_many("count", 400, 1500)
+def test_refit_of_single_triangles(count: int) -> None:
     """Flat and tiny slabs, whose bounds consist almost only of rounding."""
     rng = np.random.default_rng(3)
-    for _ in range(1500):
+    for _ in range(count):
         corners = rng.normal(size=(3, 3))
         mesh = pgccd.Mesh(corners, [[0, 1, 2]])
         assert_refit_encloses(mesh, [corners, corners])
@@ -129,9 +131,10 @@ def test_hierarchy_of_meshes() -> None:
             assert_encloses(blocks, links, triangles, posed.vertices.numpy())
 
 
-def test_hierarchy_of_single_triangles() -> None:
+@few_and_many("count", 800, 3000)
+def test_hierarchy_of_single_triangles(count: int) -> None:
     rng = np.random.default_rng(7)
-    for _ in range(3000):
+    for _ in range(count):
         mesh = pgccd.Mesh(rng.normal(size=(3, 3)), [[0, 1, 2]], "centroid")
         triangles, blocks, links = prepared(mesh)
         assert_encloses(blocks, links, triangles, mesh.vertices.numpy())

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 from oracle.broad import spheres_meet
-from search.test_broad import agreed, check
+from support.broad_phases import agreed, check
 from support.shapes import directions, tensors
 
 from pgccd import ops

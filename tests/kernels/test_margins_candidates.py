@@ -11,6 +11,7 @@ from strategies import contacts
 from strategies.contacts import Meetings
 from strategies.motions import product
 from support.candidates import found_contact
+from support.cases import few_and_many
 from support.shapes import Bodies, directions, turned, unit_quaternions
 
 import pgccd
@@ -48,12 +49,13 @@ def specks(rng: np.random.Generator, n: int, turns: int, size: float, reach: flo
     )
 
 
+@few_and_many("count", 12, 30)
 @pytest.mark.parametrize("reach", [0.0, 1e3])
 @pytest.mark.parametrize("turns", [0, 1000, 100_000])
-def test_tiny_features_far_from_their_origins(turns: int, reach: float) -> None:
+def test_tiny_features_far_from_their_origins(turns: int, reach: float, count: int) -> None:
     """Their precision is that of their distance from the origin and of the angle."""
     size = (1e-5 if turns else 1e-9) * max(1.0, reach)
-    meetings = specks(np.random.default_rng([9, turns]), 30, turns, size, reach)
+    meetings = specks(np.random.default_rng([9, turns]), count, turns, size, reach)
     moving = pgccd.MovingBodies.of(meetings.bodies.scene(), meetings.bodies.motion("linear"))
     for k in range(len(meetings)):
         (key,) = meetings.touching(k)

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 from strategies import contacts
 from strategies.contacts import Meetings
-from support.candidates import found_contact
+from support.candidates import BARELY, assert_touching, found_contact, missed
 from support.shapes import directions
 
 import pgccd
-from kernels.test_margins_traverse import BARELY, assert_touching, missed
 
 
 def off_unit(meetings: Meetings, factor: float) -> Meetings:

@@ -11,19 +11,20 @@ import pytest
 import torch
 from strategies import contacts
 from strategies.contacts import Meetings
-from support.candidates import assert_touching, missed, missed_among
+from support.candidates import BARELY, assert_touching, missed, missed_among
+from support.cases import few_and_many
 from support.shapes import Bodies, directions, tensors, turned
 
 import pgccd
 
 # Rounding of the poses passed in; the margins tested here are thousands of times as wide.
-BARELY = 1e-12
 
 
+@few_and_many("count", 24, 60)
 @pytest.mark.parametrize("turn", [(0.2, 0.2), (1.0, 0.7), (0.0, 1.0), (1.0, 0.0), (3.0, 2.0)])
-def test_tips_graze_on_arcs(device: torch.device, turn: tuple[float, float]) -> None:
+def test_tips_graze_on_arcs(device: torch.device, turn: tuple[float, float], count: int) -> None:
     """Each tip's arc bulges towards the other; the chords stay apart."""
-    meetings = contacts.tips(np.random.default_rng([1, int(10 * turn[0])]), 60, turn, speed=0.1)
+    meetings = contacts.tips(np.random.default_rng([1, int(10 * turn[0])]), count, turn, speed=0.1)
     assert_touching(meetings, BARELY)
     assert missed(meetings, device, BARELY) == []
 
@@ -36,18 +37,20 @@ def test_tips_graze_in_the_middle_of_the_only_segment(device: torch.device) -> N
         assert missed(meetings, device, BARELY) == []
 
 
-def test_tips_graze_on_arcs_too_long_for_the_segments(device: torch.device) -> None:
+@few_and_many("count", 24, 60)
+def test_tips_graze_on_arcs_too_long_for_the_segments(device: torch.device, count: int) -> None:
     """40 radians and a small partner: chords deviate further than segments are designed for."""
     for sizes in ((1.0, 1.0), (1.0, 0.125)):
-        meetings = contacts.tips(np.random.default_rng(3), 60, (40.0, 3.0), sizes=sizes)
+        meetings = contacts.tips(np.random.default_rng(3), count, (40.0, 3.0), sizes=sizes)
         assert_touching(meetings, BARELY)
         assert missed(meetings, device, BARELY) == []
 
 
+@few_and_many("count", 24, 60)
 @pytest.mark.parametrize("turn", [(0.0, 0.0), (1.0, 0.5), (9.0, 7.0)])
-def test_tips_graze_at_the_horizon(device: torch.device, turn: tuple[float, float]) -> None:
+def test_tips_graze_at_the_horizon(device: torch.device, turn: tuple[float, float], count: int) -> None:
     """They touch at the horizon, not before: features must be at their positions at the horizon."""
-    meetings = contacts.tips(np.random.default_rng(4), 60, turn, speed=2.0)
+    meetings = contacts.tips(np.random.default_rng(4), count, turn, speed=2.0)
     assert_touching(meetings, BARELY)
     assert missed(meetings, device, BARELY, horizon=meetings.time) == []
 
@@ -163,13 +166,14 @@ def test_tip_of_a_cone_on_a_pyramid(device: torch.device, separation: float, ins
     assert missed(meetings, device, separation + BARELY) == []
 
 
-def test_rounding_in_the_local_frame(device: torch.device) -> None:
+@few_and_many("count", 100, 300)
+def test_rounding_in_the_local_frame(device: torch.device, count: int) -> None:
     """Tips at random places touch at zero distance: only the float32 margin covers them."""
     rng = np.random.default_rng(10)
-    meetings = contacts.tips(rng, 300, speed=0.5, sizes=(1.0, 0.7))
+    meetings = contacts.tips(rng, count, speed=0.5, sizes=(1.0, 0.7))
     assert_touching(meetings, 1e-15)
     assert missed(meetings, device, 1e-15) == []
-    still = contacts.tips(rng, 300, sizes=(1.0, 0.7))
+    still = contacts.tips(rng, count, sizes=(1.0, 0.7))
     assert missed(still, device, 1e-15, path="linear") == []
     # The same shapes vertex by vertex, with bitwise equal tips.
     bodies, world = still.bodies, []

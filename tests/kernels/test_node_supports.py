@@ -10,16 +10,16 @@ from typing import Literal
 import numpy as np
 import pytest
 import torch
-from search.test_traverse import assert_all_there, candidates, moving
 from strategies import contacts
 from strategies.contacts import Meetings
-from support.candidates import assert_touching, missed
+from support.candidates import BARELY, assert_all_there, assert_touching, candidates, missed, moving
+from support.cases import few_and_many
+from support.hierarchies import Hierarchy, prepared
 from support.shapes import Bodies, bumpy, directions, turned, unit_quaternions
 from support.truth import rigid_truth
 
 import pgccd
 
-BARELY = 1e-12
 STEP = Fraction(7, 1024)
 # Integer multiples by 3 of the directions of samples (6, 4, 4, 3): face, p, q.
 GRID = np.zeros((6, 4, 4, 3), dtype=int)
@@ -32,14 +32,13 @@ for axis in range(3):
 
 def samples(mesh: pgccd.Mesh) -> np.ndarray:
     """(nodes, 6, 4, 4): the bytes of all slots."""
-    words = mesh._node_supports.numpy().reshape(-1, 24).view(np.uint32)
+    words = Hierarchy.of(mesh).supports.numpy().reshape(-1, 24).view(np.uint32)
     return np.stack([(words >> shift) & 255 for shift in (0, 8, 16, 24)], axis=-1).reshape(-1, 6, 4, 4)
 
 
 def nodes_of(mesh: pgccd.Mesh) -> list[tuple[int, np.ndarray, float, np.ndarray]]:
     """Number, centre, radius and vertices (n, 3) of each node; float64 numbers relative to the SBV centre."""
-    links, triangles = mesh._node_links.numpy(), mesh._triangles.numpy()
-    blocks = mesh._node_blocks.numpy()
+    triangles, blocks, links = prepared(mesh)
     local = (mesh.vertices - mesh.centre_offset).numpy()
 
     def vertices(node: int) -> set[int]:
@@ -183,7 +182,7 @@ def kites(rng: np.random.Generator, separation: float, time: float, speed: float
         rotation += [spin * way, -spin * way]
         velocity += [np.zeros(3), speed * way]
         line.append(way)
-        assert len(mesh._node_links) == 1
+        assert len(Hierarchy.of(mesh).links) == 1
     return contacts.meet(
         meshes,
         [((0,), (1,))] * n,
@@ -237,11 +236,12 @@ def test_few_splits(device: torch.device) -> None:
     assert int(node_tests) < 220 * n
 
 
+@few_and_many("seeds", 2, 4)
 @pytest.mark.parametrize("turn", [0.0, 1.0, 9.0])
-def test_slender_flat_and_far_bodies(device: torch.device, turn: float) -> None:
+def test_slender_flat_and_far_bodies(device: torch.device, turn: float, seeds: int) -> None:
     """Every feature pair that touches on exact arcs is a candidate."""
     touching = 0
-    for seed in range(4):
+    for seed in range(seeds):
         rng = np.random.default_rng([7, seed, int(turn)])
         kinds = [contacts.spindle(0.01, 2), contacts.plate(2), pgccd.Mesh(rng.normal(size=(3, 3)), [[0, 1, 2]])]
         first, second = rng.permutation(3)[:2]

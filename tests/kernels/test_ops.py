@@ -158,7 +158,10 @@ def recorded(device: torch.device) -> list[Call]:
     return recorder.calls
 
 
-def test_opcheck(device: torch.device) -> None:
+@pytest.mark.parametrize("traced", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_opcheck(device: torch.device, traced: bool) -> None:
+    """Schemas and fake kernels; slow tests also trace the operators with dynamic shapes."""
+    every = 10 if traced else 40
     calls = recorded(device)
     names = {name for name, _ in calls}
     registered = torch._C._dispatch_get_registrations_for_dispatch_key(device.type.upper())
@@ -168,7 +171,7 @@ def test_opcheck(device: torch.device) -> None:
     seen: dict[str, int] = {}
     for name, arguments in calls:
         seen[name] = seen.get(name, 0) + 1
-        if seen[name] <= 2 or seen[name] % 10 == 0:
+        if seen[name] <= 2 or seen[name] % every == 0:
             operator = getattr(torch.ops.pgccd, name).default
             torch.library.opcheck(operator, arguments, test_utils=("test_schema", "test_faketensor"))
     unequal = {"refit"}  # empty slots hold NaN, which opcheck finds unequal
@@ -179,7 +182,8 @@ def test_opcheck(device: torch.device) -> None:
         unequal |= {"traverse_rigid", "traverse_deforming"}  # the order of candidates is unspecified
     for name in names - unequal:
         arguments = next(a for n, a in calls if n == name)
-        torch.library.opcheck(getattr(torch.ops.pgccd, name).default, arguments)
+        utilities = ("test_autograd_registration", *(["test_aot_dispatch_dynamic"] if traced else []))
+        torch.library.opcheck(getattr(torch.ops.pgccd, name).default, arguments, test_utils=utilities)
 
 
 def shapes(values: Any) -> list[tuple[Any, ...]]:
@@ -187,14 +191,15 @@ def shapes(values: Any) -> list[tuple[Any, ...]]:
     return [(tuple(v.shape), v.dtype, v.device.type) for v in values]
 
 
-def test_fake_kernels_have_the_right_shapes(device: torch.device) -> None:
+@pytest.mark.parametrize("every", [20, pytest.param(5, marks=pytest.mark.slow)])
+def test_fake_kernels_have_the_right_shapes(device: torch.device, every: int) -> None:
     from torch._subclasses.fake_tensor import FakeTensorMode
     from torch.fx.experimental.symbolic_shapes import ShapeEnv
 
     seen: dict[str, int] = {}
     for name, arguments in recorded(device):
         seen[name] = seen.get(name, 0) + 1
-        if seen[name] > 4 and seen[name] % 5:
+        if seen[name] > 4 and seen[name] % every:
             continue
         operator = getattr(torch.ops.pgccd, name).default
         real = shapes(operator(*arguments))
@@ -206,6 +211,7 @@ def test_fake_kernels_have_the_right_shapes(device: torch.device) -> None:
             assert all(isinstance(f, torch.SymInt) or f == s for s, f in zip(shape, fake_shape, strict=True)), name
 
 
+@pytest.mark.slow
 def test_compile_the_sweep(device: torch.device) -> None:
     @torch.compile(fullgraph=True, dynamic=True, backend="aot_eager")
     def pairs_of(start: torch.Tensor, end: torch.Tensor, radius: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
@@ -225,6 +231,7 @@ def test_compile_the_sweep(device: torch.device) -> None:
         assert (len(pairs) == 0) == (spread == 1e6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("test", [pgccd.narrow.vertex_face, pgccd.narrow.edge_edge], ids=lambda t: t.__name__)
 def test_compile_the_elementary_tests(device: torch.device, test: Callable[..., Any]) -> None:
     @torch.compile(fullgraph=True, dynamic=True, backend="aot_eager")

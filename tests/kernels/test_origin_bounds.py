@@ -10,6 +10,7 @@ import pytest
 import torch
 from strategies import contacts
 from support.candidates import assert_touching, missed
+from support.cases import few_and_many
 from support.origins import STILL, about_z, all_contacts, moved_to, product, recentred, turn_of
 from support.reports import detected
 from support.shapes import Bodies, directions, tensors, tetrahedron, turned, unit_quaternions
@@ -135,12 +136,13 @@ def test_swept_spheres_cover_the_rounding_of_centres(device: torch.device) -> No
         assert len(find(moving, tolerance=0.0)) == len(position) // 2, "missed"
 
 
+@few_and_many("count", 50, 120)
 @pytest.mark.parametrize("reach", [1e6, 1e9, 9e11])
 @pytest.mark.parametrize("along", [False, True], ids=["resting", "screw"])
-def test_nothing_is_missed_however_far_origins_are(reach: float, along: bool, device: torch.device) -> None:
+def test_nothing_is_missed_however_far_origins_are(reach: float, along: bool, device: torch.device, count: int) -> None:
     """Opposite tips at a distance below the separation by no more than the rounding of coordinates."""
     rng = np.random.default_rng([int(reach) % 1000, along])
-    separation, count = 1e-3, 120
+    separation = 1e-3
     tip = tetrahedron().vertices.numpy()[0]
     meshes, position, orientation, rotation = [], [], [], []
     while len(meshes) < 2 * count:

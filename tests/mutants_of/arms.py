@@ -11,7 +11,7 @@ LINKS = "pgccd/robots/links.py"
 MJCF = "pgccd/robots/mjcf.py"
 URDF = "pgccd/robots/urdf.py"
 ON_UNTESTED = ("robots/test_untested.py",)
-ON_SEARCH = ("robots/test_certify.py",)
+ON_SEARCH = ("robots/test_path_search.py",)
 NOT_ATTAINED = "a term of higher order in the turn, of which no chain is known that attains it"
 
 
@@ -138,7 +138,7 @@ MUTANTS = [
         STRAY,
         "0.125 * _acc",
         "0.124875 * _acc",
-        (*ON_STRAY, "robots/test_certify.py"),
+        (*ON_STRAY, "robots/test_path_search.py"),
         switched=False,
     ),
     Mutant("arm-rotation-0.999", STRAY, "* 0.125", "* 0.124875", ON_STRAY, switched=False),

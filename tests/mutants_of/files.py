@@ -8,10 +8,10 @@ POLYGONS, FORMATS, MESHES, CHECKS = (
     f"pgccd/geometry/{name}.py" for name in ("polygons", "mesh_formats", "mesh_files", "file_checks")
 )
 SCENES = "pgccd/files.py"
-ON_FORMATS = ("geometry/test_formats.py",)
+ON_FORMATS = ("geometry/test_mesh_formats.py",)
 ON_CHECKS = ("geometry/test_file_checks.py",)
 ON_MESHES = ("geometry/test_mesh_files.py",)
-ON_SCENES = ("test_files.py", "auditing/test_command.py")
+ON_SCENES = ("test_files.py", "auditing/test_runs.py")
 
 
 def _mutant(

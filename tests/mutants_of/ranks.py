@@ -5,7 +5,7 @@ from __future__ import annotations
 from mutants_of.mutant import Mutant
 
 CHANNEL = "pgccd/distributed/guard/channel.py"
-ON_GUARD = ("distributed/test_channel.py", "distributed/test_guard.py")
+ON_GUARD = ("distributed/guard/test_channel.py", "distributed/guard/test_guard.py")
 
 MUTANTS = [
     Mutant("lines-without-number", CHANNEL, 'number + line, "sha256"', 'line, "sha256"', ON_GUARD, switched=False),
@@ -47,7 +47,7 @@ MUTANTS = [
         "pgccd/distributed/world/world.py",
         "Census.of_ranks(self.comm, self.id).require(self.census)",
         "pass",
-        ("distributed/test_census.py",),
+        ("distributed/halo/test_migrate.py",),
         switched=False,
     ),
     Mutant(
@@ -55,7 +55,7 @@ MUTANTS = [
         "pgccd/distributed/halo/migrate.py",
         "if self != expected:",
         "if self.count != expected.count:",
-        ("distributed/test_census.py",),
+        ("distributed/halo/test_migrate.py",),
         switched=False,
     ),
     Mutant(
@@ -63,7 +63,7 @@ MUTANTS = [
         "pgccd/distributed/halo/migrate.py",
         "if self != expected:",
         "if self.ids != expected.ids:",
-        ("distributed/test_census.py",),
+        ("distributed/halo/test_migrate.py",),
         switched=False,
     ),
     Mutant(
@@ -71,7 +71,7 @@ MUTANTS = [
         "pgccd/sim/simulation.py",
         "Census(tally.robots, tally.id_hash).require(self._expected)",
         "pass",
-        ("distributed/test_census.py",),
+        ("distributed/halo/test_migrate.py",),
         switched=False,
     ),
     Mutant(
@@ -79,7 +79,7 @@ MUTANTS = [
         "pgccd/distributed/detection/share.py",
         'held.ghosts["changed"]',
         'torch.zeros_like(held.ghosts["changed"])',
-        ("distributed/test_resolve.py",),
+        ("distributed/world/test_resolve.py",),
         switched=False,
     ),
     Mutant(
@@ -87,7 +87,7 @@ MUTANTS = [
         "pgccd/distributed/world/resolve.py",
         'share.held.ghosts["rest"]',
         'torch.ones_like(share.held.ghosts["rest"])',
-        ("distributed/test_resolve.py",),
+        ("distributed/world/test_resolve.py",),
         switched=False,
     ),
     Mutant(
@@ -95,7 +95,7 @@ MUTANTS = [
         "pgccd/distributed/world/resolve.py",
         "comm.any(len(hits) > 0)",
         "comm.any(len(hits) > 1)",
-        ("distributed/test_resolve.py",),
+        ("distributed/world/test_resolve.py",),
         switched=False,
     ),
     Mutant(

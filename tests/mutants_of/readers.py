@@ -11,7 +11,7 @@ MUJOCO, NEWTON, BULLET = (f"pgccd/simulators/{name}_frames.py" for name in ("muj
 ON_ORACLES = ("simulators/test_oracles.py",)
 ON_SIMULATORS = ("simulators/test_simulators.py",)
 ON_FILES = ("robots/test_files.py",)
-ON_CERTIFY = ("robots/test_certify.py",)
+ON_CERTIFY = ("robots/test_path_search.py",)
 
 
 def _mutant(name: str, file: str, old: str, new: str, killed_by: tuple[str, ...], within: str = "") -> Mutant:

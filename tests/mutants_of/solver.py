@@ -7,9 +7,9 @@ from mutants_of.mutant import Mutant
 APPROACH = "pgccd/contacts/approach.py"
 SITES = "pgccd/contacts/sites.py"
 NORMALS = "pgccd/contacts/normals.py"
-ON_APPROACH = ("contacts/test_approaching.py",)
+ON_APPROACH = ("contacts/test_approach.py",)
 ON_GRADIENTS = ("contacts/test_gradients.py",)
-ON_NORMALS = ("contacts/test_surface_cones.py", "contacts/test_surface_normals.py")
+ON_NORMALS = ("contacts/test_surface_cones.py", "contacts/test_normals.py")
 
 
 def _mutant(name: str, file: str, old: str, new: str, within: str = "", equivalent: str = "") -> Mutant:

@@ -7,6 +7,7 @@ from fractions import Fraction
 import mpmath
 import numpy as np
 import pytest
+from support.cases import few_and_many
 
 from . import adversarial, arcs, batch, distance, families, linear, rigid, separation
 from .batch_paths import ArcPaths, StraightPaths, Turning, Window
@@ -131,8 +132,9 @@ def intervals(points: np.ndarray, first: Turning, second: Turning, is_face: bool
 @KINDS
 @pytest.mark.parametrize("kept", [0.0, 0.05])
 @pytest.mark.parametrize("name", arcs.PLANS)
-def test_arcs_against_the_intervals(name: str, is_face: bool, kept: float) -> None:
-    points, first, second = arc_queries(8, arcs.PLANS[name], is_face, 30)
+@few_and_many("count", 12, 30)
+def test_arcs_against_the_intervals(name: str, is_face: bool, kept: float, count: int) -> None:
+    points, first, second = arc_queries(8, arcs.PLANS[name], is_face, count)
     found = batch.first_within(ArcPaths(points, first, second, is_face), kept)
     truth = intervals(points, first, second, is_face, kept)
     both = (found.status != CLOSE) & (truth.status != CLOSE)
@@ -171,7 +173,7 @@ def test_arcs_lie_where_they_should(name: str, is_face: bool) -> None:
 @KINDS
 def test_the_rest_matters(is_face: bool) -> None:
     """Without the remainder false claims are made: the tests above can fail."""
-    points, first, second = arc_queries(11, arcs.PLANS["many turns"], is_face, 2000)
+    points, first, second = arc_queries(11, arcs.PLANS["many turns"], is_face, 1000)
     paths = ArcPaths(points, first, second, is_face)
     over = paths.over
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from strategies import degenerate_features, feature_motions
+from support.cases import few_and_many
 
 from . import adversarial, distance, linear, separation
 from .constructed import FREE, TOUCH, UNKNOWN
@@ -113,9 +114,10 @@ def test_irrational_time_is_bracketed_as_tightly_as_asked() -> None:
 
 @KINDS
 @pytest.mark.parametrize("generator", adversarial.GENERATORS, ids=lambda g: g.__name__)
-def test_adversarial(generator: adversarial.Generator, is_face: bool) -> None:
+@few_and_many("count", 40, 80)
+def test_adversarial(generator: adversarial.Generator, is_face: bool, count: int) -> None:
     """Constructed results hold; filtered, unfiltered and general methods agree; the order of points does not matter."""
-    q = generator(np.random.default_rng(5), 80, is_face)
+    q = generator(np.random.default_rng(5), count, is_face)
     found = many(q.points_t0, q.points_t1, is_face)
     swap = [0, 3, 1, 2] if is_face else [3, 2, 0, 1]
     for i, hit in enumerate(found):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import mpmath
 import numpy as np
 import pytest
+from support.cases import few_and_many
 
 from . import distance, linear, rigid, search
 from .interval import Interval, cross, dot, norm, sinc_cosc
@@ -172,9 +173,10 @@ def floats(points: np.ndarray, p0: np.ndarray, q: np.ndarray, p1: np.ndarray, w:
 
 @KINDS
 @pytest.mark.parametrize("separation", [0.0, 0.05])
-def test_against_dense_sampling(is_face: bool, separation: float) -> None:
+@few_and_many("n", 120, 240)
+def test_against_dense_sampling(is_face: bool, separation: float, n: int) -> None:
     rng = np.random.default_rng(4)
-    n, samples = 240, 401
+    samples = 401
     points, ends = rng.normal(size=(n, 4, 3)), rng.normal(size=(2, 2, n, 3))
     q, spin = rng.normal(size=(2, n, 4)), rng.normal(size=(2, n, 3)) * np.repeat([0.1, 0.5, 1, 3], n // 4)[:, None]
     q /= np.linalg.norm(q, axis=2, keepdims=True)

@@ -9,10 +9,10 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.broad_phases import agreed, check, scattered
 from support.shapes import tensors, tetrahedron, unit_quaternions
 
 import pgccd
-from search.test_broad import agreed, check, scattered
 
 Arrays = tuple[np.ndarray, np.ndarray, np.ndarray]
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from support.cases import few_and_many
 from support.reports import detected
 from support.shapes import Bodies, approaching, on_the_surface
 from support.truth import (
@@ -44,10 +45,11 @@ def check_rigid(bodies: Bodies, device: torch.device, separation: float = 0.0) -
 
 
 @pytest.mark.parametrize("turn", [0.05, 1.0, 3.0, 8.0])
-def test_all_contacts_of_rigid_arcs(device: torch.device, turn: float) -> None:
+@few_and_many("seeds", 1, 3)
+def test_all_contacts_of_rigid_arcs(device: torch.device, turn: float, seeds: int) -> None:
     shapes = (0, 1) if turn < 5 else (0, 0)
-    bodies = [approaching(np.random.default_rng([1, int(turn), seed]), shapes, turn=turn) for seed in range(3)]
-    assert sum(check_rigid(b, device) for b in bodies) > 10
+    bodies = [approaching(np.random.default_rng([1, int(turn), seed]), shapes, turn=turn) for seed in range(seeds)]
+    assert sum(check_rigid(b, device) for b in bodies) > 3 * seeds
 
 
 @pytest.mark.parametrize("scale", [1e-6, 1e6])
@@ -104,8 +106,9 @@ def timed(hits: pgccd.Contacts) -> dict[tuple[int, ...], float]:
 
 @pytest.mark.parametrize("path", ["rigid", "linear"])
 @pytest.mark.parametrize("separation", [0.0, 0.1])
-def test_reports_agree(device: torch.device, path: Any, separation: float) -> None:
-    for seed in range(4):
+@few_and_many("seeds", 2, 4)
+def test_reports_agree(device: torch.device, path: Any, separation: float, seeds: int) -> None:
+    for seed in range(seeds):
         bodies = crowd(seed)
         scene, motion = bodies.scene(device), bodies.motion(path, device)
         reports = {r: detected(scene, motion, r, separation) for r in ("all", "first", "any", "earliest")}

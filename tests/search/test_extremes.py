@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 import torch
 from oracle.broad import sphere_pairs
+from support.broad_phases import agreed, scattered
+from support.hierarchies import Hierarchy
 from support.shapes import bumpy, tensors, tetrahedron
 
 import pgccd
-from search.test_broad import agreed, scattered
 
 OCTAHEDRON = (
     [[1.0, 0, 0], [-1.0, 0, 0], [0, 1.0, 0], [0, -1.0, 0], [0, 0, 1.0], [0, 0, -1.0]],
@@ -107,7 +108,7 @@ def pairs_that_turn_in_place(size: float, count: int) -> list[list[int]]:
     rng = np.random.default_rng(3)
     corners = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / 3**0.5 + 0.001 * rng.normal(size=(4, 3))
     mesh = pgccd.Mesh(size * corners, [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]], origin="centroid")
-    centre = mesh._node_blocks[0, :3, 0].double().expand(count, 3)  # of the only leaf
+    centre = Hierarchy.of(mesh).blocks[0, :3, 0].double().expand(count, 3)  # of the only leaf
     turn, change = torch.from_numpy(rng.normal(size=(2, count, 4)))
     start = torch.nn.functional.normalize(turn)
     end = torch.nn.functional.normalize(start + 0.1 * change)

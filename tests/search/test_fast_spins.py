@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import pytest
 import torch
 from strategies import contacts
 from support.candidates import assert_touching, missed
+from support.cases import few_and_many, mostly_slow
 from support.host_program import run_program
 from support.origins import moved_to
 from support.reports import detected
@@ -70,8 +72,10 @@ class Spinning:
         return found, int(node_tests)
 
 
-@pytest.mark.parametrize("arm", [0.0, 3.0, 20.0])
-@pytest.mark.parametrize("turn", [30.0, 90.0, 400.0])
+@pytest.mark.parametrize(
+    ("turn", "arm"),
+    mostly_slow(itertools.product((30.0, 90.0, 400.0), (0.0, 3.0, 20.0)), [(30.0, 20.0), (90.0, 3.0), (400.0, 0.0)]),
+)
 def test_contacts_are_those_of_all_feature_pairs(device: torch.device, turn: float, arm: float) -> None:
     spinning = Spinning.of(turn, arm, device)
     found = spinning.candidates()[0]
@@ -82,8 +86,10 @@ def test_contacts_are_those_of_all_feature_pairs(device: torch.device, turn: flo
     assert len(rows[0]["toi"]) > 50 and difference(*rows) is None
 
 
-@pytest.mark.parametrize("arm", [0.0, 3.0, 20.0])
-@pytest.mark.parametrize("turn", [90.0, 2000.0])
+@pytest.mark.parametrize(
+    ("turn", "arm"),
+    mostly_slow(itertools.product((90.0, 2000.0), (0.0, 3.0, 20.0)), [(90.0, 3.0), (90.0, 20.0), (2000.0, 0.0)]),
+)
 def test_one_contact_of_each_pair_is_the_first_of_all(device: torch.device, turn: float, arm: float) -> None:
     """Also where the first is found long after the part of the step that is searched at first."""
     spinning = Spinning.of(turn, arm, device)
@@ -190,11 +196,12 @@ def test_poses_of_many_segments_are_not_kept(device: torch.device) -> None:
     assert hits.stats.needed.poses == 0
 
 
+@few_and_many("count", 20, 60)
 @pytest.mark.parametrize("turn", [(90.0, 3.0), (400.0, 300.0), (3000.0, 1.0)])
-def test_tips_graze_within_spans_of_many_segments(device: torch.device, turn: tuple[float, float]) -> None:
+def test_tips_graze_within_spans_of_many_segments(device: torch.device, turn: tuple[float, float], count: int) -> None:
     """Each tip's arc bulges towards the other, in the middle of a span too."""
     for sizes in ((1.0, 1.0), (1.0, 0.125)):
-        meetings = contacts.tips(np.random.default_rng(6), 60, turn, sizes=sizes)
+        meetings = contacts.tips(np.random.default_rng(6), count, turn, sizes=sizes)
         assert_touching(meetings, 1e-11)
         assert missed(meetings, device, 1e-11) == []
 

@@ -264,6 +264,7 @@ def test_trajectories(device: torch.device, report: Any) -> None:
     assert torch.equal(hits.may_collide("body").nonzero()[:, 0], hits.pairs.unique())
 
 
+@pytest.mark.slow
 def test_compile(device: torch.device) -> None:
     scene, motion = worlds(device)
     capacity = Capacity.of(1000)

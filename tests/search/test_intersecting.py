@@ -12,6 +12,7 @@ import torch
 from oracle import distance, intersection
 from oracle.intersection import as_integers, crossings_of_meshes, crossings_within, have_common_point
 from support import intersecting, solids
+from support.cases import few_and_many
 from support.intersecting import EF_AB, EF_BA, integer_pairs
 from support.reports import captured_loop, detected
 from support.same_bits import COLUMNS, assert_same
@@ -39,11 +40,12 @@ def test_kinds() -> None:
 
 @pytest.mark.parametrize("path", ["rest", "linear", "rigid"])
 @pytest.mark.parametrize("tolerance", [None, 0.0])
-def test_rigid_triangles(device: torch.device, path: str, tolerance: float | None) -> None:
+@few_and_many("count", 120, 300)
+def test_rigid_triangles(device: torch.device, path: str, tolerance: float | None, count: int) -> None:
     rng = np.random.default_rng([1, len(path)])
-    a, b = integer_pairs(rng, 300, degenerate=False)
+    a, b = integer_pairs(rng, count, degenerate=False)
     scene, motion = intersecting.rigid_scene(rng, a, b, device, path)
-    assert intersecting.check_reports(a, b, scene, motion, path == "rest", tolerance=tolerance) > 80
+    assert intersecting.check_reports(a, b, scene, motion, path == "rest", tolerance=tolerance) > 0.25 * count
 
 
 @pytest.mark.parametrize("moving", [False, True], ids=["at rest", "moving"])
@@ -68,11 +70,12 @@ def test_single_pairs(device: torch.device, report: narrow.Report) -> None:
 
 
 @pytest.mark.parametrize("kind", ["deforming", "rest", "rigid"])
-def test_settings_do_not_matter(device: torch.device, kind: str) -> None:
+@few_and_many("count", 60, 200)
+def test_settings_do_not_matter(device: torch.device, kind: str, count: int) -> None:
     rng = np.random.default_rng([4, len(kind)])
-    a, b = integer_pairs(rng, 200, degenerate=False)
+    a, b = integer_pairs(rng, count, degenerate=False)
     expected = intersecting.expected_crossings(a, b)
-    assert len(expected) > 30
+    assert len(expected) > 0.15 * count
 
     def found(margin: float | None = None, **options: Any) -> np.ndarray:
         same = np.random.default_rng(5)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from support.cases import mostly_slow
 from support.same_bits import assert_same
 from support.shapes import Bodies, bumpy, directions, height_field, turned, unit_quaternions
 from support.truth import assert_rigid_pair_agrees
@@ -103,7 +104,7 @@ def assert_same_on_every_way(crowd: Crowd, device: torch.device) -> pgccd.Contac
     return found
 
 
-@pytest.mark.parametrize("terrain_body", [0, 150])
+@pytest.mark.parametrize("terrain_body", mostly_slow([0, 150], [150]))
 def test_pebbles_on_a_terrain(device: torch.device, terrain_body: int) -> None:
     crowd = pebbles_on_terrain(300, terrain_body)
     found = assert_same_on_every_way(crowd, device)
@@ -127,7 +128,7 @@ def test_sizes_from_one_to_a_thousand(device: torch.device) -> None:
     assert max(ratio.values()) > 300 and len(pairs) > 60
     extreme = sorted(ratio, key=lambda pair: ratio[pair])
     contacts = 0
-    for i, j in extreme[:1] + extreme[len(extreme) // 2 :][:1] + extreme[-2:]:
+    for i, j in extreme[:1] + extreme[-1:]:
         contacts += assert_rigid_pair_agrees(found, crowd.bodies, i, j)
     assert contacts > 3
 

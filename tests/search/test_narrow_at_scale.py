@@ -1,4 +1,4 @@
-"""The narrow phase on some hundred thousand random and adversarial queries against the batch oracle; see nightly.py."""
+"""The narrow phase on many random and adversarial queries against the batch oracle; see nightly.py."""
 
 from __future__ import annotations
 
@@ -28,14 +28,18 @@ def assert_all_well(checks: Iterable[tuple[str, Tally]], names: Iterable[str], l
 
 
 @DTYPES
-def test_straight_paths(dtype: torch.dtype, device: torch.device) -> None:
+@pytest.mark.parametrize(
+    ("rounds", "share", "least"), [(1, 4, 35_000), pytest.param(2, 2, 150_000, marks=pytest.mark.slow)]
+)
+def test_straight_paths(dtype: torch.dtype, device: torch.device, rounds: int, share: int, least: int) -> None:
     if not bulk.accepts(dtype):
         pytest.skip(f"the elementary tests do not take {dtype}")
-    assert_all_well(bulk.straight(1, range(2), dtype, device, share=2), bulk.straight_families(), 150_000)
+    assert_all_well(bulk.straight(1, range(rounds), dtype, device, share=share), bulk.straight_families(), least)
 
 
-def test_arcs(device: torch.device) -> None:
-    assert_all_well(bulk_arcs.arcs_checked(1, range(1), device, share=16), PLANS, 3_500)
+@pytest.mark.parametrize(("share", "least"), [(32, 1_700), pytest.param(16, 3_500, marks=pytest.mark.slow)])
+def test_arcs(device: torch.device, share: int, least: int) -> None:
+    assert_all_well(bulk_arcs.arcs_checked(1, range(1), device, share=share), PLANS, least)
 
 
 @pytest.mark.slow

@@ -10,6 +10,7 @@ import torch
 from oracle import distance, rigid
 from oracle.batch_paths import Turning
 from support.bulk_arcs import FEATURES, solve_candidates
+from support.cases import few_and_many
 
 import pgccd
 
@@ -90,10 +91,10 @@ def nearly_parallel(rng: np.random.Generator, count: int, angle: float, kind: in
 @pytest.mark.parametrize("kind", [pgccd.Kind.VF_AB, pgccd.Kind.EE])
 @pytest.mark.parametrize("angle", [1e-14, 9e-11, 1e-6, 1e-3])
 @pytest.mark.parametrize("tolerance", [1e-10, 1e-6])
-def test_nearly_parallel_on_arcs(device: torch.device, kind: int, angle: float, tolerance: float) -> None:
+@few_and_many("count", 16, 40)
+def test_nearly_parallel_on_arcs(device: torch.device, kind: int, angle: float, tolerance: float, count: int) -> None:
     """Touches lie within the tolerance, for arbitrarily small angles spanning the features' plane."""
     rng = np.random.default_rng([int(kind), int(-np.log10(angle))])
-    count = 40
     meshes = nearly_parallel(rng, count, angle, kind)
     vertices = [m.vertices.numpy() for m in meshes]
     rows = np.arange(count)

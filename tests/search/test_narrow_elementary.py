@@ -14,6 +14,7 @@ from oracle import distance
 from oracle.adversarial import GENERATORS, Generator
 from oracle.constructed import FREE, TOUCH
 from strategies import degenerate_features, feature_motions
+from support.cases import few_and_many
 from support.elementary import check, rounding, solve, truth
 
 import pgccd
@@ -58,8 +59,9 @@ def to_float32(queries: np.ndarray) -> np.ndarray:
 
 @KINDS
 @ALL
-def test_float32(generator: Generator, is_face: bool, device: torch.device) -> None:
-    queries = generator(np.random.default_rng(8), 60, is_face)
+@few_and_many("count", 25, 60)
+def test_float32(generator: Generator, is_face: bool, device: torch.device, count: int) -> None:
+    queries = generator(np.random.default_rng(8), count, is_face)
     points = to_float32(queries.points_t0), to_float32(queries.points_t1)
     for separation in (0.0, 0.1):
         for tolerance in (1e-3, 1e-6):
@@ -103,11 +105,10 @@ def test_adversarial(
         run(generator, is_face, count * times, 1000 * times + seed, device)
 
 
-@KINDS
-@given(data=st.data())
-@settings(max_examples=400)
-@pytest.mark.parametrize("strategy", [feature_motions, degenerate_features], ids=lambda s: s.__name__)
-def test_grids(strategy: Callable[[], st.SearchStrategy], is_face: bool, data: st.DataObject) -> None:
+STRATEGIES = pytest.mark.parametrize("strategy", [feature_motions, degenerate_features], ids=lambda s: s.__name__)
+
+
+def check_on_grid(strategy: Callable[[], st.SearchStrategy], is_face: bool, data: st.DataObject) -> None:
     start, end = data.draw(strategy())
     tolerance = data.draw(st.sampled_from([1e-6, 1e-12])) * max(np.abs(start).max(), np.abs(end).max(), 1e-30)
     check(start[None], end[None], is_face, 0.0, tolerance, most_unresolved=1.0)
@@ -116,8 +117,25 @@ def test_grids(strategy: Callable[[], st.SearchStrategy], is_face: bool, data: s
 
 
 @KINDS
+@given(data=st.data())
+@settings(max_examples=120)
+@STRATEGIES
+def test_grids(strategy: Callable[[], st.SearchStrategy], is_face: bool, data: st.DataObject) -> None:
+    check_on_grid(strategy, is_face, data)
+
+
+@pytest.mark.slow
+@KINDS
+@given(data=st.data())
+@settings(max_examples=1000)
+@STRATEGIES
+def test_grids_at_length(strategy: Callable[[], st.SearchStrategy], is_face: bool, data: st.DataObject) -> None:
+    check_on_grid(strategy, is_face, data)
+
+
+@KINDS
 @given(values=st.lists(st.floats(-1e18, 1e18), min_size=24, max_size=24))
-@settings(max_examples=300)
+@settings(max_examples=120)
 def test_any_numbers(is_face: bool, values: list[float]) -> None:
     start, end = np.array(values).reshape(2, 1, 4, 3)
     check(start, end, is_face, most_unresolved=1.0)
@@ -155,8 +173,9 @@ def test_extreme_sizes_are_never_missed(is_face: bool, size: float) -> None:
 
 @KINDS
 @ALL
-def test_nonzero_toi(generator: Generator, is_face: bool, device: torch.device) -> None:
-    queries = generator(np.random.default_rng(3), 60, is_face)
+@few_and_many("count", 25, 60)
+def test_nonzero_toi(generator: Generator, is_face: bool, device: torch.device, count: int) -> None:
+    queries = generator(np.random.default_rng(3), count, is_face)
     points = queries.points_t0, queries.points_t1
     for separation in (0.0, 1e-3):
         unresolved = HARD.get(generator.__name__, 0.1)

@@ -5,6 +5,7 @@ batches. It must report what a search for all contacts does.
 
 from __future__ import annotations
 
+import functools
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -245,20 +246,29 @@ def test_leaves_do_not_meet_before_their_time(tmp_path: Path) -> None:
     run_program(TIMES, tmp_path)
 
 
-@pytest.mark.parametrize("separation", [0.0, 0.3, 1.0])
-@pytest.mark.parametrize("depth", [-0.01, 0.0, 0.4])
-@pytest.mark.parametrize("report", FIRST)
-def test_one_contact_of_many_at_the_start(
-    report: narrow.Report, depth: float, separation: float, device: torch.device
-) -> None:
-    """Thousands of features touch at t = 0, or stay a little apart: it is the first one, found by few of them."""
+@functools.cache
+def many_at_the_start(
+    depth: float, separation: float, device: torch.device
+) -> tuple[pgccd.Scene, pgccd.RigidMotion, pgccd.Contacts]:
+    """Spheres of which thousands of features touch at t = 0, or stay a little apart; and all contacts."""
     sphere = pgccd.Mesh.sphere(1.0)
     start = torch.tensor([[0.0, 0.0, 0.0], [2.0 - depth, 0.05, 0.02], [-0.5, 0.1, -1.8]], dtype=torch.float64)
     unit = torch.tensor([[1.0, 0.0, 0.0, 0.0]] * 3, dtype=torch.float64)
     step = torch.tensor([[0.02, 0.0, 0.0], [0.0, 0.01, 0.0], [0.0, 0.0, 0.0]], dtype=torch.float64)
     scene = pgccd.Scene([sphere], [0, 0, 0], device=device)
     motion = pgccd.RigidMotion(start, unit, start + step, unit).to(device)
-    found, every = (detected(scene, motion, each, separation) for each in (report, "all"))
+    return scene, motion, pgccd.detect(scene, motion, "all", separation)
+
+
+@pytest.mark.parametrize("separation", [0.0, 0.3, 1.0])
+@pytest.mark.parametrize("depth", [-0.01, 0.0, 0.4])
+@pytest.mark.parametrize("report", FIRST)
+def test_one_contact_of_many_at_the_start(
+    report: narrow.SearchReport, depth: float, separation: float, device: torch.device
+) -> None:
+    """It is the first one, found by few of the features."""
+    scene, motion, every = many_at_the_start(depth, separation, device)
+    found = detected(scene, motion, report, separation)
     expected = every[first_rows(every, report)]
     assert torch.equal(found.pairs, expected.pairs)
     if isinstance(found, pgccd.Contacts):

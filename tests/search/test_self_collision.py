@@ -10,6 +10,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import TriMesh, meshes
+from support.cases import few_and_many
 from support.deforming import Ends, crumpled, motion_of, noisy
 from support.reports import detected
 from support.same_bits import COLUMNS, assert_same
@@ -116,18 +117,20 @@ def test_waves_through_one_another(device: torch.device) -> None:
 
 @pytest.mark.parametrize("shake", [0.05, 0.4])
 @pytest.mark.parametrize("separation", [0.0, 0.03])
-def test_blobs(device: torch.device, shake: float, separation: float) -> None:
-    for seed in range(2):
+@few_and_many("seeds", 1, 2)
+def test_blobs(device: torch.device, shake: float, separation: float, seeds: int) -> None:
+    for seed in range(seeds):
         rng = np.random.default_rng([3, int(100 * shake), seed])
         mesh = bumpy(rng, 1)
         ends = [noisy(rng, mesh.vertices.numpy(), shake) for _ in range(2)]
         assert check(mesh, ends, device, separation) > (100 if shake > 0.1 else -1)
 
 
-def test_deep_hierarchy(device: torch.device) -> None:
+@few_and_many("subdivisions", 2, 3)
+def test_deep_hierarchy(device: torch.device, subdivisions: int) -> None:
     """Many leaves, most of which never come near one another."""
     rng = np.random.default_rng(4)
-    mesh = bumpy(rng, 3, height=0.02)
+    mesh = bumpy(rng, subdivisions, height=0.02)
     inside_out = mesh.vertices.numpy() * np.array([1.0, 1.0, -0.1])
     ends = [mesh.vertices.numpy(), noisy(rng, inside_out, 0.002)]
     assert check(mesh, ends, device) > 100
@@ -152,9 +155,10 @@ def test_small_triangles_in_a_large_body(device: torch.device) -> None:
     assert check(mesh, ends, device, tolerance=1e-9) > 100
 
 
-def test_shapes_that_collapse(device: torch.device) -> None:
+@few_and_many("subdivisions", 0, 1)
+def test_shapes_that_collapse(device: torch.device, subdivisions: int) -> None:
     """Collapsed to a point at t1 or throughout: all feature pairs touch, and each is listed once."""
-    mesh = bumpy(np.random.default_rng(7), 1)
+    mesh = bumpy(np.random.default_rng(7), subdivisions)
     vertices, faces, edges = (x.numpy() for x in (mesh.vertices, mesh.faces, mesh.edges))
     point = np.tile(vertices[:1], (len(vertices), 1))
     degree = np.bincount(edges.ravel(), minlength=len(vertices))

@@ -62,6 +62,7 @@ def test_invalid_vertices(device: torch.device) -> None:
         hits.trim()
 
 
+@pytest.mark.slow
 def test_compile_the_whole_step(device: torch.device) -> None:
     scene, ends, capacity = crumpled_capacity(device)
     start, end = (x.to(device) for x in (motion_of(*ends, device=device).x_t0, motion_of(*ends, device=device).x_t1))

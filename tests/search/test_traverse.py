@@ -2,48 +2,24 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 import torch
-from oracle.detect import Detection
+from support.candidates import assert_all_there, candidates, moving
+from support.cases import few_and_many, mostly_slow
 from support.shapes import Bodies, approaching, on_the_surface, tensors, unit_quaternions
 from support.truth import end_positions, linear_truth, rigid_truth
 
 import pgccd
 
-Key = tuple[int, int, int]
-
-
-def candidates(
-    bodies: pgccd.MovingBodies,
-    pairs: torch.Tensor | None = None,
-    min_separation: float = 0.0,
-    horizon: list[float] | None = None,
-) -> list[list[Key]]:
-    """(kind, feature of i, feature of j) of each pair; fails on duplicates."""
-    if pairs is None:
-        pairs = torch.tensor([[0, 1]], device=bodies.device)
-    until = None if horizon is None else torch.tensor(horizon, dtype=torch.float64, device=bodies.device)
-    found, node_tests = pgccd.traverse.find_candidates(bodies, pairs, min_separation, horizon=until)
-    assert found.dtype == torch.int32 and node_tests.shape == (1,)
-    rows = [tuple(row) for row in found.tolist()]
-    assert len(set(rows)) == len(rows), "a candidate is listed twice"
-    return [[row[1:] for row in rows if row[0] == k] for k in range(len(pairs))]
-
-
-def assert_all_there(found: list[Key], truth: Detection, until: float = 1.0) -> None:
-    touching = {(c.kind, c.feature_a, c.feature_b) for c in truth.contacts if c.toi_upper <= until}
-    assert touching - set(found) == set(), "missed"
-
-
-def moving(bodies: Bodies, device: torch.device, path: str = "rigid") -> pgccd.MovingBodies:
-    return pgccd.MovingBodies.of(bodies.scene(device), bodies.motion(path, device))
-
 
 @pytest.mark.parametrize("turn", [0.0, 0.1, 1.0, 3.1, 9.0, 25.0])
-def test_arcs(device: torch.device, turn: float) -> None:
+@few_and_many("seeds", 1, 2)
+def test_arcs(device: torch.device, turn: float, seeds: int) -> None:
     contacts = 0
-    for seed in range(2):
+    for seed in (1, 0)[:seeds]:
         rng = np.random.default_rng([seed, int(10 * turn)])
         bodies = approaching(rng, (0, 1) if turn < 5 else (0, 0), turn=turn, closeness=0.7)
         truth = rigid_truth(bodies)
@@ -74,8 +50,10 @@ def test_separation(device: torch.device, separation: float) -> None:
     assert len(found) > len(candidates(moving(bodies, device))[0]) or separation < 1e-3
 
 
-@pytest.mark.parametrize("ratio", [1.0, 30.0, 1000.0])
-@pytest.mark.parametrize("turn", [0.0, 2.0])
+@pytest.mark.parametrize(
+    ("turn", "ratio"),
+    mostly_slow(itertools.product((0.0, 2.0), (1.0, 30.0, 1000.0)), [(2.0, 1.0), (0.0, 30.0), (2.0, 1000.0)]),
+)
 def test_mixed_sizes(device: torch.device, ratio: float, turn: float) -> None:
     bodies = on_the_surface(np.random.default_rng([1, int(ratio)]), ratio, turn)
     truth = rigid_truth(bodies)
@@ -114,8 +92,9 @@ def test_linear_paths(device: torch.device, turn: float) -> None:
 
 
 @pytest.mark.parametrize("shake", [0.0, 0.2, 1.0])
-def test_deforming(device: torch.device, shake: float) -> None:
-    for seed in range(2):
+@few_and_many("seeds", 1, 2)
+def test_deforming(device: torch.device, shake: float, seeds: int) -> None:
+    for seed in range(seeds):
         rng = np.random.default_rng([11, int(10 * shake), seed])
         bodies = approaching(rng, turn=1.0, closeness=0.8, offset=100.0)
         ends = [end_positions(bodies, b) for b in (0, 1)]

@@ -15,11 +15,12 @@ from typing import Literal
 import numpy as np
 import pytest
 import torch
+from support.candidates import assert_all_there, candidates, moving
+from support.cases import few_and_many
 from support.shapes import Bodies, tetrahedron
 from support.truth import linear_truth
 
 import pgccd
-from search.test_traverse import assert_all_there, candidates, moving
 
 TINY = 2e-4
 
@@ -54,10 +55,11 @@ def moved(bodies: Bodies, where: np.ndarray) -> Bodies:
 
 
 @pytest.mark.parametrize("rises_most", [False, True])
-def test_a_turning_sheet_meets_a_speck_before_the_horizon(device: torch.device, rises_most: bool) -> None:
+@few_and_many("count", 10, 25)
+def test_a_turning_sheet_meets_a_speck_before_the_horizon(device: torch.device, rises_most: bool, count: int) -> None:
     """Anywhere, or where the sheet rises most: at its ends, about an axis between the sheet and its normal."""
     rng = np.random.default_rng(1)
-    for _ in range(25):
+    for _ in range(count):
         bodies = turning(rng, tetrahedron(TINY), (0.7, 0.85) if rises_most else (0.2, 0.8))
         start, end = sheet_ends(bodies)
         until = rng.uniform(0.02, 0.2 if rises_most else 0.5)

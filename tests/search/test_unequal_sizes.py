@@ -15,6 +15,7 @@ from oracle.intersection import have_common_point
 from strategies import contacts
 from strategies.contacts import Meetings
 from support.candidates import found_contact
+from support.cases import few_and_many
 from support.shapes import Bodies, tensors, turned, unit_quaternions
 
 import pgccd
@@ -130,11 +131,12 @@ def test_contacts_come_within_the_tolerance(
 @KINDS
 @SIZES
 @TURNS
-def test_contacts_at_exactly_the_separation(kind: str, size: float, turn: float) -> None:
+@few_and_many("count", 8, 20)
+def test_contacts_at_exactly_the_separation(kind: str, size: float, turn: float, count: int) -> None:
     """Grains that just come within it are found, not late; those that do not turn are free at a separation smaller by
     2 10^-27 of the triangle's size.
     """
-    meetings = grains(np.random.default_rng(3), 20, kind, size, turn, 0.25)
+    meetings = grains(np.random.default_rng(3), count, kind, size, turn, 0.25)
     for k in range(len(meetings)):
         distance = contacts.distance_at(meetings, k)
         least, less = contacts.least_separation(distance), float(np.nextafter(float(distance - 2e-27 * size), 0.0))

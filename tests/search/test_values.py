@@ -273,6 +273,7 @@ def test_meshes_written_later_are_validated_in_a_capacity() -> None:
         found.trim()
 
 
+@pytest.mark.slow
 def test_compiled_steps_validate_margins(device: torch.device) -> None:
     scene, motion = moving("rigid", device)
     expected = pgccd.detect(scene, motion)

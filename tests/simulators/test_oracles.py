@@ -101,7 +101,7 @@ def text(values: Any) -> str:
     return " ".join(repr(float(value)) for value in np.ravel(values))
 
 
-def few_and_many(few: int, many: int) -> Callable[[Any], Any]:
+def few_models_and_many(few: int, many: int) -> Callable[[Any], Any]:
     """Numbers of random models, and comparisons of each kind at least: all 200 in a slow run."""
     return pytest.mark.parametrize(
         ("models", "at_least"), [(few, 5), pytest.param(many, 200, marks=pytest.mark.slow)], ids=["few", "many"]
@@ -160,7 +160,7 @@ def is_in_field(model: Any, data: Any, geom: int, point: np.ndarray) -> bool:
     return bool(z < heights[row : row + 2, column : column + 2].max())
 
 
-@few_and_many(3, 40)
+@few_models_and_many(3, 40)
 def test_mujoco_and_mjcf(tmp_path: Path, models: int, at_least: int) -> None:
     mujoco = pytest.importorskip("mujoco")
     tallies, path = (Tally(), Tally()), tmp_path / "model.xml"
@@ -266,7 +266,7 @@ def add_to_bullet(bullet: Any, rng: Generator, kind: str, folder: Path) -> tuple
     return bullet.createMultiBody(0.0 if kind == "plane" else 1.0, shape, **placed("baseInertial")), width
 
 
-@few_and_many(3, 40)
+@few_models_and_many(3, 40)
 def test_pybullet(tmp_path: Path, models: int, at_least: int) -> None:
     bullet = pytest.importorskip("pybullet")
     tally, client = Tally(BULLET_EXCESS), bullet.connect(bullet.DIRECT)
@@ -326,7 +326,7 @@ def urdf_text(rng: Generator, folder: Path) -> tuple[str, list[float]]:
     return '<robot name="r">' + "".join(links + joints).replace("><", ">\n<") + "</robot>", widths
 
 
-@few_and_many(4, 80)
+@few_models_and_many(4, 80)
 def test_urdf_against_pybullet(tmp_path: Path, models: int, at_least: int) -> None:
     bullet, _ = pytest.importorskip("pybullet"), pytest.importorskip("yourdfpy")
     tally, client = Tally(BULLET_EXCESS), bullet.connect(bullet.DIRECT)

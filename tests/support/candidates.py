@@ -6,10 +6,15 @@ from typing import Literal
 
 import numpy as np
 import torch
+from oracle.detect import Detection
 from strategies import contacts
 from strategies.contacts import Meetings
 
 import pgccd
+from support.shapes import Bodies
+
+BARELY = 1e-12
+Key = tuple[int, int, int]
 
 
 def missed(
@@ -61,3 +66,29 @@ def found_contact(
     candidate = torch.tensor([[0, *key]], dtype=torch.int32)
     rows = pgccd.narrow.find_contacts(moving, pairs, candidate, "all", min_separation, tolerance=tolerance)
     return rows if len(rows[0]) else None
+
+
+def candidates(
+    bodies: pgccd.MovingBodies,
+    pairs: torch.Tensor | None = None,
+    min_separation: float = 0.0,
+    horizon: list[float] | None = None,
+) -> list[list[Key]]:
+    """(kind, feature of i, feature of j) of each pair; fails on duplicates."""
+    if pairs is None:
+        pairs = torch.tensor([[0, 1]], device=bodies.device)
+    until = None if horizon is None else torch.tensor(horizon, dtype=torch.float64, device=bodies.device)
+    found, node_tests = pgccd.traverse.find_candidates(bodies, pairs, min_separation, horizon=until)
+    assert found.dtype == torch.int32 and node_tests.shape == (1,)
+    rows = [tuple(row) for row in found.tolist()]
+    assert len(set(rows)) == len(rows), "a candidate is listed twice"
+    return [[row[1:] for row in rows if row[0] == k] for k in range(len(pairs))]
+
+
+def assert_all_there(found: list[Key], truth: Detection, until: float = 1.0) -> None:
+    touching = {(c.kind, c.feature_a, c.feature_b) for c in truth.contacts if c.toi_upper <= until}
+    assert touching - set(found) == set(), "missed"
+
+
+def moving(bodies: Bodies, device: torch.device, path: str = "rigid") -> pgccd.MovingBodies:
+    return pgccd.MovingBodies.of(bodies.scene(device), bodies.motion(path, device))

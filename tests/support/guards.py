@@ -45,6 +45,11 @@ def ranks_of(size: int, monkeypatch: pytest.MonkeyPatch) -> Iterator[Ranks]:
         one._ends_hard = False  # otherwise the test process would exit like a failed rank
 
 
+def verdict_of(one: Guard | Hub) -> str | None:
+    """Which rank is lost and why, as a guard or the hub has decided, or None; `Guard.waiting` raises it only once."""
+    return one._verdict
+
+
 def fail(rank: Guard, after: float = 0.0) -> str:
     with pytest.raises(RuntimeError) as caught, rank.waiting("halo"):
         time.sleep(after)

@@ -6,16 +6,10 @@ import sys
 from pathlib import Path
 
 import torch
-from distributed import (
-    test_detection,
-    test_distributed_simulation,
-    test_exchange,
-    test_motions,
-    test_pcccd,
-    test_resolve,
-    test_world_payload,
-    test_world_population,
-)
+from baselines import test_pcccd
+from distributed.comm import test_exchange
+from distributed.steps import test_rank
+from distributed.world import test_motions, test_payload, test_population, test_resolve, test_world
 
 from pgccd.distributed import MpiComm
 from support.random_scenes import random_scene
@@ -28,17 +22,17 @@ for neighbours_above in (32, 0):
     test_exchange.send_about(comm, neighbours_above)
 test_exchange.reduce_values(comm)
 for neighbours_above in (0, 32):
-    test_detection.find(comm, "on corners of many cells", neighbours_above=neighbours_above)
+    test_world.find(comm, "on corners of many cells", neighbours_above=neighbours_above)
 test_motions.deform(comm, "all")
 test_motions.follow(comm, "earliest", True)
 test_pcccd.compare(comm, "on corners of many cells")
-test_distributed_simulation.follow(comm, "random", "cost", 12, True, True)
+test_rank.follow(comm, "random", "cost", 12, True, True)
 for seed, (own, found, _) in enumerate(resolve_scenes(comm, range(8), "cpu")):
     scene = random_scene(seed)
-    rows = scene._rows(own) if scene.kind.startswith("deforming") else None
+    rows = scene.rows_of(own) if scene.kind.startswith("deforming") else None
     said = difference(found, of_rank(test_resolve.alone(seed)[0], own, rows))
     assert said is None, f"{scene}: {said}"
-test_world_payload.ask(comm, next(iter(test_world_payload.CROWDS)))
-test_world_population.join_and_leave(comm)
+test_payload.ask(comm, next(iter(test_payload.CROWDS)))
+test_population.join_and_leave(comm)
 comm.close()
 Path(sys.argv[1], f"rank-{comm.rank}").touch()

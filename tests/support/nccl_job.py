@@ -9,14 +9,9 @@ import tempfile
 import warnings
 
 import torch
-from distributed import (
-    test_captured_world,
-    test_detection,
-    test_distributed_simulation,
-    test_exchange,
-    test_loops,
-    test_motions,
-)
+from distributed.comm import test_exchange
+from distributed.steps import test_rank
+from distributed.world import test_captured, test_loops, test_motions, test_world
 
 from pgccd.distributed import Alone, Comm, choose_device, connect
 from support.crowds import crowds
@@ -29,12 +24,12 @@ def test_scenes(comm: Comm, device: torch.device) -> None:
     test_exchange.reduce_values(comm)
     for name in crowds():
         for neighbours_above in (0, 32):
-            test_detection.find(comm, name, device, neighbours_above)
+            test_world.find(comm, name, device, neighbours_above)
     for report in ("first", "all"):
         test_motions.deform(comm, report, device)
         test_motions.follow(comm, report, False, device)
     for partition in ("cells", "bisection"):
-        assert test_captured_world.follow(comm, "cost", partition, True, str(device), False)["replayed"] > 6
+        assert test_captured.follow(comm, "cost", partition, True, str(device), False)["replayed"] > 6
     with tempfile.TemporaryDirectory() as folder:
         expected, _ = test_loops.follow(Alone(), test_loops.PAGE, folder)
         found, replayed = test_loops.follow(comm, test_loops.PAGE, comm.broadcast_object(folder), True, "cuda")
@@ -44,14 +39,14 @@ def test_scenes(comm: Comm, device: torch.device) -> None:
 
 def test_robots(comm: Comm, device: torch.device, steps: int) -> None:
     """Worlds of robots."""
-    assert test_distributed_simulation.follow_not_captured(comm, str(device))["replayed"] == 0
+    assert test_rank.follow_not_captured(comm, str(device))["replayed"] == 0
     # With cells assigned at random, and a rank whose capacity overflows now and then.
-    seen = test_distributed_simulation.follow(comm, "random", "none", steps, True, True, str(device), True)
+    seen = test_rank.follow(comm, "random", "none", steps, True, True, str(device), True)
     assert seen["contacts"] > 100 and seen["arrived"] > 20
     # With messages to all ranks, and between neighbours only, as for many ranks.
     for neighbours_above in (32, 0):
         comm.neighbours_above = neighbours_above
-        seen = test_distributed_simulation.follow_bisected(comm, "skewed", "cost", steps, True, str(device))
+        seen = test_rank.follow_bisected(comm, "skewed", "cost", steps, True, str(device))
         assert seen["contacts"] > 100
 
 

@@ -47,7 +47,7 @@ class RandomScene:
 
     def motion(self, device: torch.device | str = "cpu", bodies: Tensor | None = None) -> Any:
         """The motion of some of the bodies, or of all."""
-        rows = slice(None) if bodies is None else self._rows(bodies)
+        rows = slice(None) if bodies is None else self.rows_of(bodies)
         poses = [column[..., rows, :].to(device) for column in self.poses]
         if self.kind == "deforming":
             return pgccd.VertexMotion(*poses)
@@ -75,7 +75,8 @@ class RandomScene:
         counts = self._counts()
         return counts.cumsum(0) - counts
 
-    def _rows(self, bodies: Tensor) -> Tensor:
+    def rows_of(self, bodies: Tensor) -> Tensor:
+        """The rows of the motion that are of these bodies."""
         if not self.kind.startswith("deforming"):
             return bodies
         begins, counts = self._begins().tolist(), self._counts().tolist()

@@ -9,12 +9,19 @@ import traceback
 from collections.abc import Callable
 from typing import Any
 
+import pytest
 import torch
 import torch.distributed as dist
 
 from pgccd.distributed import Alone, Comm, TorchComm
 from support.forked_job import forkserver
 
+World = Callable[..., list[Any]]
+SLOW = pytest.mark.slow
+# Four ranks have the most kinds of neighbours, three an odd number of parts.
+ON_FOUR = [1, pytest.param(2, marks=SLOW), pytest.param(3, marks=SLOW), 4]
+ON_THREE = [1, pytest.param(2, marks=SLOW), 3, pytest.param(4, marks=SLOW)]
+on_three = pytest.mark.parametrize("world", ON_THREE, indirect=True)
 MOST_RANKS = 4
 # A job that takes longer hangs.
 _SECONDS = 120

@@ -64,7 +64,7 @@ def differences(
             said = _not_of_all(scene, contacts)
         if said is not None:
             found.append(Difference(scene, "of all contacts", said))
-        for way, columns in _all_ways(scene, contacts, devices):
+        for way, columns in all_ways(scene, contacts, devices):
             said = columns if isinstance(columns, str) else difference(columns, expected[-1])
             if said is not None:
                 found.append(Difference(scene, way, said))
@@ -110,7 +110,7 @@ def _not_of_all(scene: RandomScene, found: pgccd.Contacts | pgccd.CollidingPairs
     return difference(columns_of(found), {name: expected[name] for name in found.columns})
 
 
-def _all_ways(scene: RandomScene, whole: pgccd.Contacts, devices: Iterable[str]) -> Iterator[tuple[str, Columns | str]]:
+def all_ways(scene: RandomScene, whole: pgccd.Contacts, devices: Iterable[str]) -> Iterator[tuple[str, Columns | str]]:
     """The columns by each way, or an error."""
     for device in devices:
         for name, way in _ways(scene, whole, device):

@@ -5,12 +5,12 @@ from __future__ import annotations
 import sys
 
 import torch
-from distributed import test_detection
+from distributed.world import test_world
 
 from pgccd.distributed import choose_device, connect
 
 torch.set_num_threads(1)
 with connect(sys.argv[1]) as comm:
     for name in sys.argv[2:]:
-        seen = test_detection.find(comm, name, choose_device(sys.argv[1]))
+        seen = test_world.find(comm, name, choose_device(sys.argv[1]))
         assert max(contacts for contacts, _ in seen) > 0, "nothing collides: nothing was tested"
