@@ -13,6 +13,7 @@ from pgccd.geometry.mesh import MeshSet
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.resolution.rounds import Found, RoundSearch, found_by, ids_of
 from pgccd.runtime.sizes import COUNT_ROWS, EXACTLY, BufferSizes
+from pgccd.search.bodies import MovingBodies
 from pgccd.search.memory import memory_limit
 from pgccd.search.narrow import REPORTS
 from pgccd.search.padded import lower_first_toi
@@ -21,6 +22,9 @@ from pgccd.search.query import Query
 
 # A longer list, relative to the PCS, costs more than the broad phases of rounds.
 _LONGEST = 4
+# Where bodies move further, relative to their reach, a list is not tried: in a crowd of unit boxes it would be at least
+# six times as long as the PCS.
+_FARTHEST = 6.0
 
 _BYTES_OF_PAIR = BufferSizes(pairs=1, contacts=0).bytes
 _PAIRS, _CONTACTS = COUNT_ROWS["pairs"], COUNT_ROWS["contacts"]
@@ -29,6 +33,18 @@ _PAIRS, _CONTACTS = COUNT_ROWS["pairs"], COUNT_ROWS["contacts"]
 def is_short(listed: int, pcs: int) -> bool:
     """Whether rounds search the list, given its length and the number of pairs that may meet at equal times."""
     return listed <= _LONGEST * max(pcs, 1)
+
+
+def travels_of(bodies: MovingBodies) -> Tensor:
+    """(2,) float64 on the CPU: sums of the distances that bodies move and of the reach of each. Synchronises."""
+    travel = (bodies.centre_t1 - bodies.centre_t0).norm(dim=1)
+    return torch.stack([travel.sum(), bodies.reach.clamp(min=0.0).sum()]).cpu()
+
+
+def are_near(travels: Tensor) -> bool:
+    """Whether bodies move so little that a list may be short, given the sums of `travels_of` over all ranks."""
+    travel, reach = travels.tolist()
+    return travel <= _FARTHEST * reach
 
 
 def is_on_arcs(motion: RigidMotion | VertexMotion) -> TypeGuard[RigidMotion]:

@@ -15,7 +15,7 @@ from pgccd.geometry.columns import bool_column
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
-from pgccd.resolution.listed import ListedSearch, is_on_arcs, is_short
+from pgccd.resolution.listed import ListedSearch, are_near, is_on_arcs, is_short, travels_of
 from pgccd.resolution.results import M, PaddedResolution, Resolution, union_of_pairs
 from pgccd.resolution.round_plan import RoundPlan
 from pgccd.resolution.rounds import Attempt, OneRank, RoundSearch, resolve_collisions
@@ -171,7 +171,8 @@ class _Plan:
     pairs: CapacityEstimate
     listed_pairs: CapacityEstimate  #: of a search that lists pairs for rounds too
     rounds: RoundPlan
-    lists: bool = True  #: whether rounds search a list, which was not too long in the last step
+    #: Whether rounds search a list, which was not too long in the last step. None: there was none.
+    lists: bool | None = None
 
     @classmethod
     def of(cls, scene: Scene) -> _Plan:
@@ -263,7 +264,7 @@ class _Step:
         )
 
     def _search(self, motion: RigidMotion | VertexMotion, plan: _Plan) -> RoundSearch:
-        if plan.lists and is_on_arcs(motion):
+        if is_on_arcs(motion) and plan.lists is not False and (plan.lists or are_near(travels_of(self.bodies))):
             return self._listed_search(motion, plan)
         search_pass = find_pass(self.bodies, self.query, self.broad_phase, estimate=plan.pairs)
         return self._shortened_search(motion, [search_pass], may_wait=True)

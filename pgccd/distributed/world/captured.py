@@ -200,8 +200,10 @@ class CapturedWorld(RankSteps[WorldStep, Committed, "WorldGraph"]):
 
     def _try_to_capture(self, index: int) -> WorldGraph | None:
         world = self._world
-        if self._resolve and not world._resolution_plan.lists:
-            return None
+        if self._resolve:
+            assert world.found is not None
+            if not (world._resolution_plan.lists and world.found.options.at_any_times):
+                return None
         # Without bodies there is none whose columns could be padding.
         return super()._try_to_capture(index) if world.census.count else None
 

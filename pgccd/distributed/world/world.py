@@ -59,7 +59,7 @@ from pgccd.geometry.mesh import Mesh
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import PathKind, RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
-from pgccd.resolution.listed import is_on_arcs
+from pgccd.resolution.listed import are_near, is_on_arcs, travels_of
 from pgccd.resolution.results import M
 from pgccd.resolution.trajectories import TrajectoryResolution, resolve_segments
 from pgccd.runtime.stages import StageClock
@@ -454,6 +454,9 @@ class World(OwnBodies):
     ) -> Share:
         """The search of the whole step, and of the pairs of rounds if these are to be listed."""
         lists = self._resolution_plan.lists and is_on_arcs(motion)
+        if lists:  # the same on all ranks
+            bodies = MovingBodies.of(scene, motion, wait=False)
+            lists = are_near(self.comm.sum(travels_of(bodies)))
         marks = {} if fixed is None else {"fixed": fixed}
         return self._search(self.id, scene, motion, options_of_resolution(self.options, lists), carried | marks)
 

@@ -187,7 +187,6 @@ def wrong_arguments(comm: Comm) -> None:
         with pytest.raises(kind, match=message):
             world.step(still, **given)
     for given, kind, message in (
-        ({"graph": True, "resolve": True}, ValueError, "graph: steps that are resolved cannot be replayed"),
         ({"movable": movable}, ValueError, "movable: can only be given with resolve=True"),
         ({"movable": [True], "resolve": True}, TypeError, "movable: expected a function, got"),
         ({"resolve": 1}, TypeError, "resolve: expected"),
