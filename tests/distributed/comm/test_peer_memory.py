@@ -15,7 +15,7 @@ from support.ranks import RankPool
 from torch import Tensor
 
 from distributed.steps import test_rank
-from distributed.world import test_captured
+from distributed.world import test_captured, test_captured_resolving
 from pgccd import ops
 from pgccd.distributed import Comm
 from pgccd.distributed.comm import peer_memory
@@ -197,6 +197,12 @@ def follow_world(comm: Comm) -> int:
     return messages.calls
 
 
+def follow_resolved_world(comm: Comm) -> int:
+    comm.peer_messages = messages = OverConnection(comm)
+    assert test_captured_resolving.follow(comm, "report", True, "cpu")["replayed"] > 3
+    return messages.calls
+
+
 @pytest.mark.parametrize("neighbours_above", [32, 0])
 def test_steps_with_messages_of_peers(ranks: RankPool, neighbours_above: int) -> None:
     assert min(ranks.run(3, follow_simulation, neighbours_above)) > 50
@@ -204,3 +210,4 @@ def test_steps_with_messages_of_peers(ranks: RankPool, neighbours_above: int) ->
 
 def test_steps_of_a_world_with_messages_of_peers(ranks: RankPool) -> None:
     assert min(ranks.run(3, follow_world)) > 20
+    assert min(ranks.run(3, follow_resolved_world)) > 100
