@@ -156,7 +156,7 @@ def detect(
         >>> safe = float(hits.toi[0]) if len(hits) else 1.0
         >>> x = x0 + safe * (x1 - x0)
     """
-    if report not in narrow.CONTACT_REPORTS:
+    if not isinstance(report, str) or report not in narrow.CONTACT_REPORTS:
         narrow.check_report(report)
     separation = separation_value(min_separation) if isinstance(min_separation, Tensor) else min_separation
     query = Query(report, separation, tolerance, nonzero_toi, initial)
