@@ -149,12 +149,8 @@ MUTANTS = [
     ),
     _mutant("approaching-first-window-only", SEARCH, "left = left[until[left] < 1.0]", "left = left[:0]"),
     _mutant(
-        "approaching-skips-what-was-not-tested",
-        SEARCH,
-        "torch.where(early == receding[chosen], early, 0)",
-        "early",
+        "approaching-in-any-order", SEARCH, "order = order[torch.argsort(contacts.toi[order], stable=True)]", "pass"
     ),
-    _mutant("approaching-in-any-order", SEARCH, "order = order[torch.argsort(contacts.toi[order], stable=True)]", "pass"),
     _mutant("approaching-any-segment", SEARCH, "len(found), segment, found.toi", "len(found), found.toi"),
     _mutant("approaching-one-segment", SEARCH, "low, number = low + number, 2 * number", "low = len(order)"),
     _mutant(
