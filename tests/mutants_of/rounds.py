@@ -11,6 +11,7 @@ RESOLVE = "pgccd/distributed/world/resolve.py"
 GRAPHS = "pgccd/distributed/world/graphs.py"
 ON_LISTED = ("resolution/test_listed.py",)
 ON_RESOLVE = ("distributed/test_resolve.py",)
+ON_INCOMPLETE = ("distributed/test_captured_world_incomplete.py",)
 ON_GRAPHS = ("distributed/test_captured_resolving.py",)
 
 
@@ -74,6 +75,22 @@ MUTANTS = [
         GRAPHS,
         "attempt.fraction[: share.held.own_count].masked_fill(incomplete != 0, 0.0)",
         "attempt.fraction[: share.held.own_count]",
+    ),
+    Mutant(
+        "graph-incomplete-elsewhere",
+        GRAPHS,
+        "comm.all_gather(incomplete).amax(dim=0).clamp(max=1)",
+        "incomplete.clamp(max=1)",
+        ON_INCOMPLETE,
+        switched=False,
+    ),
+    Mutant(
+        "graph-incomplete-and-free",
+        GRAPHS,
+        "first[:own_count].masked_fill(anywhere != 0, 0.0)",
+        "first[:own_count]",
+        ON_INCOMPLETE,
+        switched=False,
     ),
     _mutant("rounds-more-than-captured", GRAPHS, ".overflow(), changes[-1:]]", ".overflow()]"),
     _mutant("rounds-messages-do-not-fit", GRAPHS, "flags.append(exchange.overflow())", "pass"),
