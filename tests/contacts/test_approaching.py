@@ -210,7 +210,7 @@ def test_the_slack_on_curved_paths(device: torch.device) -> None:
 
 
 def test_the_end_of_curved_paths(device: torch.device) -> None:
-    """A tip sinks on its circle until the end of the step, no longer."""
+    """A tip sinks on its circle until the end of the step, no longer; or until just before."""
     scene, motion = pendulum(0.0, -0.5, 0.0, device)
     hits = pgccd.detect(scene, motion)
     depth = 1.0 - math.cos(0.5)
@@ -218,6 +218,16 @@ def test_the_end_of_curved_paths(device: torch.device) -> None:
     assert (
         len(pgccd.approaching(scene, motion, hits, (1.0 - 1e-6) * depth)) == 1
         and len(pgccd.approaching(scene, motion, hits, (1.0 + 1e-6) * depth)) == 0
+    )
+    # Lowest in the middle of the last of 16 windows; at the end it is higher by 1.3e-4.
+    angle = 0.5
+    scene, motion = pendulum(-angle, angle * 32.0 / 31.0, 0.0, device)
+    hits = pgccd.detect(scene, motion)
+    depth = 1.0 - math.cos(angle)
+    assert hits.toi.tolist() == [0.0]
+    assert (
+        len(pgccd.approaching(scene, motion, hits, depth - 1e-5)) == 1
+        and len(pgccd.approaching(scene, motion, hits, depth + 1e-5)) == 0
     )
 
 

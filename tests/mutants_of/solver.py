@@ -82,11 +82,11 @@ MUTANTS = [
         "toi + (1.0 - toi) * torch.linspace",
         "toi + 1.0001 * (1.0 - toi) * torch.linspace",
     ),
-    _mutant(
+    _mutant(  # not by 0.9999: `may_stay` looks at the very end too
         "recedes-before-the-end-on-arcs",
         APPROACH,
         "toi + (1.0 - toi) * torch.linspace",
-        "toi + 0.9999 * (1.0 - toi) * torch.linspace",
+        "toi + 0.9 * (1.0 - toi) * torch.linspace",
     ),
     _mutant("recedes-unresolved", APPROACH, "(status == Status.TOUCH) & (sites.kind", "(sites.kind"),
     _mutant(
