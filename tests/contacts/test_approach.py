@@ -209,6 +209,28 @@ def test_the_slack_on_curved_paths(device: torch.device) -> None:
     )
 
 
+def test_the_end_of_curved_paths(device: torch.device) -> None:
+    """A tip sinks on its circle until the end of the step, no longer; or until just before."""
+    scene, motion = pendulum(0.0, -0.5, 0.0, device)
+    hits = pgccd.detect(scene, motion)
+    depth = 1.0 - math.cos(0.5)
+    assert hits.toi.tolist() == [0.0]
+    assert (
+        len(pgccd.approaching(scene, motion, hits, (1.0 - 1e-6) * depth)) == 1
+        and len(pgccd.approaching(scene, motion, hits, (1.0 + 1e-6) * depth)) == 0
+    )
+    # Lowest in the middle of the last of 16 windows; at the end it is higher by 1.3e-4.
+    angle = 0.5
+    scene, motion = pendulum(-angle, angle * 32.0 / 31.0, 0.0, device)
+    hits = pgccd.detect(scene, motion)
+    depth = 1.0 - math.cos(angle)
+    assert hits.toi.tolist() == [0.0]
+    assert (
+        len(pgccd.approaching(scene, motion, hits, depth - 1e-5)) == 1
+        and len(pgccd.approaching(scene, motion, hits, depth + 1e-5)) == 0
+    )
+
+
 def test_flat_surfaces_that_pass_through_one_another() -> None:
     """Nothing around the contacts says on which side they are, only that they are apart at toi, or were before."""
     for turned_over in (False, True):
@@ -350,6 +372,24 @@ def test_gradients_of_contacts_behind_a_resting_one(device: torch.device) -> Non
     path = pgccd.RigidMotion.from_rotation(motion.position_t0, motion.orientation_t0, end, motion.rotation)
     pgccd.approaching(scene, path, pgccd.detect(scene, path)).first_toi().backward()
     assert end.grad is not None and float(end.grad[0, 0]) == pytest.approx(-4.0 / 64.0, rel=1e-6)
+
+
+def test_gradients_of_contacts_behind_a_resting_one_along_a_trajectory(device: torch.device) -> None:
+    """The wall is met in the second of three segments; in the third the cube is in it."""
+    scene = pgccd.Scene([CUBE, joined(FLOOR, box((0.5, 10, 3), (5, 0, 2)))], static=[False, True], device=device)
+    x = torch.zeros(4, 2, 3, dtype=torch.float64)
+    x[:, 0] = torch.tensor([[0.0, 0, 0.5], [2, 0, 0.5], [6, 0, 0.5], [7, 0, 0.5]])
+    position = x.to(device).requires_grad_()
+    q = torch.tensor([UPRIGHT] * 2, dtype=torch.float64, device=device).expand(4, -1, -1).contiguous()
+    trajectory = pgccd.Trajectory(position, q)
+    ahead = pgccd.approaching(scene, trajectory, pgccd.detect(scene, trajectory))
+    assert ahead.segment.tolist() == [1] and ahead.differentiable.tolist() == [True]
+    ahead.toi.sum().backward()
+    # toi = (4 - a) / (b - a) of the positions a and b of the cube; of the wall the opposite.
+    expected = torch.zeros_like(x)
+    expected[1, 0, 0], expected[2, 0, 0] = -2.0 / 16.0, -2.0 / 16.0
+    expected[:, 1] = -expected[:, 0]
+    assert position.grad is not None and torch.allclose(position.grad.cpu(), expected, rtol=1e-6, atol=1e-12)
 
 
 def test_intersections_stay_in(device: torch.device) -> None:

@@ -66,6 +66,25 @@ def test_on_the_inside_of_a_closed_mesh(device: torch.device) -> None:
         assert len(of_surfaces) > 3 and (of_surfaces == torch.tensor([0.0, 0.0, -1.0]).double()).all()
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_beside_an_edge_in_the_plane_of_its_faces(seed: int) -> None:
+    """A rod through a closed floor comes near a diagonal of it: rounding does not tell on which side of the floor."""
+    q = torch.nn.functional.normalize(
+        torch.randn(4, generator=torch.Generator().manual_seed(seed), dtype=torch.float64), dim=0
+    )
+    meshes = [box((0.1, 0.1, 1.0)), box((2.0, 2.0, 0.5), (0.0, 0.0, -0.5))]
+    scene, motion = sliding("rigid", meshes, (-0.5, 0.53, 0.0), (0.6, -0.1, 0.0), orientation=tuple(q.tolist()))
+    of_features, of_surfaces = (
+        pgccd.detect(scene, motion, "all", 0.1, normals=normals)  # type: ignore[call-overload]
+        for normals in ("features", "surface")
+    )
+    edge = int((meshes[1].edges == torch.tensor([1, 7])).all(1).nonzero())
+    up = 2.0 * torch.stack([q[1] * q[3] + q[0] * q[2], q[2] * q[3] - q[0] * q[1], 0.5 - q[1] ** 2 - q[2] ** 2])
+    rows = (of_features.kind == pgccd.Kind.EE) & (of_features.features[:, 1] == edge)
+    rows &= ((of_features.normal @ up).abs() < 1e-9) & (of_features.toi > 0.0)
+    assert rows.any() and (of_surfaces.normal[rows] + up).abs().max() < 1e-12
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_convex_edges_keep_theirs(kind: Kind, device: torch.device) -> None:
     """A cube on its edge falls across the edge of another one, and bodies of all shapes on one another."""

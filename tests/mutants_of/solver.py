@@ -5,15 +5,17 @@ from __future__ import annotations
 from mutants_of.mutant import Mutant
 
 APPROACH = "pgccd/contacts/approach.py"
+SEARCH = "pgccd/search/approaching.py"
 SITES = "pgccd/contacts/sites.py"
 NORMALS = "pgccd/contacts/normals.py"
 ON_APPROACH = ("contacts/test_approach.py",)
+ON_SEARCH = ("search/test_search_of_approaching.py", "contacts/test_approach.py")
 ON_GRADIENTS = ("contacts/test_gradients.py",)
 ON_NORMALS = ("contacts/test_surface_cones.py", "contacts/test_normals.py")
 
 
 def _mutant(name: str, file: str, old: str, new: str, within: str = "", equivalent: str = "") -> Mutant:
-    killed_by = ON_APPROACH if file == APPROACH else ON_NORMALS
+    killed_by = {APPROACH: ON_APPROACH, SEARCH: ON_SEARCH}.get(file, ON_NORMALS)
     return Mutant(name, file, old, new, killed_by, within, equivalent, switched=False)
 
 
@@ -72,6 +74,20 @@ MUTANTS = [
     _mutant("recedes-slack-1.001", APPROACH, "needed = gap - slack", "needed = gap - 1.001 * slack"),
     _mutant("recedes-gap-0.999", APPROACH, "needed = gap - slack", "needed = 0.999 * gap - slack"),
     _mutant("recedes-at-toi-only", APPROACH, "torch.minimum(*gaps)", "gaps[0]"),
+    _mutant("recedes-beyond-the-step", APPROACH, "(self.toi[:, None], 1.0):", "(self.toi[:, None], 1.0001):"),
+    _mutant("recedes-before-the-end", APPROACH, "(self.toi[:, None], 1.0):", "(self.toi[:, None], 0.9999):"),
+    _mutant(
+        "recedes-beyond-the-step-on-arcs",
+        APPROACH,
+        "toi + (1.0 - toi) * torch.linspace",
+        "toi + 1.0001 * (1.0 - toi) * torch.linspace",
+    ),
+    _mutant(  # not by 0.9999: `may_stay` looks at the very end too
+        "recedes-before-the-end-on-arcs",
+        APPROACH,
+        "toi + (1.0 - toi) * torch.linspace",
+        "toi + 0.9 * (1.0 - toi) * torch.linspace",
+    ),
     _mutant("recedes-unresolved", APPROACH, "(status == Status.TOUCH) & (sites.kind", "(sites.kind"),
     _mutant(
         "recedes-intersecting",
@@ -125,6 +141,18 @@ MUTANTS = [
         "gap = start + change * time + (at_b",
         "gap = start + 0.0 * change * time + (at_b",
     ),
+    _mutant(
+        "approaching-first-batch-only",
+        SEARCH,
+        "open_pairs[(at < torch.minimum(first, last))[open_pairs]]",
+        "open_pairs[:0]",
+    ),
+    _mutant("approaching-first-window-only", SEARCH, "left = left[until[left] < 1.0]", "left = left[:0]"),
+    _mutant(
+        "approaching-in-any-order", SEARCH, "order = order[torch.argsort(contacts.toi[order], stable=True)]", "pass"
+    ),
+    _mutant("approaching-any-segment", SEARCH, "len(found), segment, found.toi", "len(found), found.toi"),
+    _mutant("approaching-one-segment", SEARCH, "low, number = low + number, 2 * number", "low = len(order)"),
     _mutant(
         "normals-kept",
         NORMALS,

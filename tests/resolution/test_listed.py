@@ -15,8 +15,10 @@ from torch import Tensor
 import pgccd
 from pgccd import ops
 from pgccd.resolution import listed
-from pgccd.resolution.listed import is_short
+from pgccd.resolution.listed import ListedSearch, is_short
 from pgccd.resolution.search import shortened
+from pgccd.runtime.sizes import COUNT_ROWS, EXACTLY
+from pgccd.search.query import Query
 
 
 def bodies_of(count: int, seed: int, margin: bool = False) -> tuple[pgccd.Scene, pgccd.RigidMotion]:
@@ -45,6 +47,9 @@ def test_pairs_with_a_body_that_has_changed(device: torch.device, by_velocity: b
     tensors = list(pgccd.MovingBodies.of(scene, motion).tensors)
     among_all: Any = shortened(scene, motion, fraction)
     position_t1, rotation = among_all.position_t1, among_all.rotation
+    rests = fraction == 0.0
+    for column in (2, 5) if not by_velocity else ():  # of an invalid step nothing moves
+        tensors[column] = torch.where(rests[:, None], torch.nan, tensors[column])
     if by_velocity:
         tensors[2] = motion.position_t1 - motion.position_t0
         position_t1 = motion.position_t0 + fraction[:, None] * tensors[2]
@@ -165,15 +170,18 @@ def test_long_lists_are_not_searched() -> None:
     assert is_short(4, 1) and not is_short(5, 1) and is_short(4, 0)
 
 
-def test_spheres_contain_bodies_that_are_stopped() -> None:
-    """Exactly: the origin and the turn of a shortened path are rounded, which far from the origin of the world is more
-    than the rounding of boxes and spheres lets in.
+@pytest.mark.parametrize(
+    ("far", "travel", "turn"), [(1e9, 1.0, 20.0), (0.0, 1e9, 20.0), (0.0, 1e-3, 4e5)], ids=["far", "fast", "spinning"]
+)
+def test_spheres_contain_bodies_that_are_stopped(far: float, travel: float, turn: float) -> None:
+    """Exactly: the origin and the turn of a shortened path are rounded, which far from the origin of the world, and of
+    bodies that spin, is more than the rounding of boxes and spheres lets in.
     """
     scene, motion = bodies_of(200, 3)
-    far = torch.tensor([3e7, -1e9, 5e8], dtype=torch.float64)
-    motion = pgccd.RigidMotion.from_rotation(
-        motion.position_t0 + far, motion.orientation_t0, motion.position_t1 + far, 20.0 * motion.rotation
-    )
+    start = 1e-3 * motion.position_t0 + far * torch.tensor([0.03, -1.0, 0.5], dtype=torch.float64)
+    rotation = turn * torch.nn.functional.normalize(motion.rotation)
+    end = start + travel * (motion.position_t1 - motion.position_t0)
+    motion = pgccd.RigidMotion.from_rotation(start, motion.orientation_t0, end, rotation)
     bodies = pgccd.MovingBodies.of(scene, motion)
     grown = bodies.stoppable()
     assert bodies.boxes is not None and grown.boxes is not None
@@ -186,32 +194,61 @@ def test_spheres_contain_bodies_that_are_stopped() -> None:
             for column in (motion.position_t0, motion.position_t1, ends.position_t1)
         )
         stray = sum(abs(x + f * (y - x) - z) for x, y, z in zip(start, end, at, strict=True))
-        turn = sum(
+        turned = sum(
             abs(f * Fraction(w) - Fraction(r))
             for w, r in zip(motion.rotation[row].tolist(), ends.rotation[row].tolist(), strict=True)
         )
         reach = Fraction(float(bodies.reach[row]))
         arm = reach + Fraction(float((bodies.centre_t0 - motion.position_t0)[row].norm()))
         growth = Fraction(float(grown.reach[row])) - reach
-        assert stray + turn * arm <= growth
+        assert stray + turned * arm <= growth
         furthest = max(map(abs, start + end))
         rotation = sum(abs(Fraction(w)) for w in motion.rotation[row].tolist())
         offset = sum(map(abs, map(Fraction, (bodies.centre_t0 - motion.position_t0)[row].tolist())))
         proven = Fraction(32, 2**53) * furthest + Fraction(4, 2**53) * rotation * (reach + offset)
-        assert 1 - Fraction(1, 2**30) < growth / proven < 1 + Fraction(1, 100)  # as in docs/explanation/exactness.md
+        # As in docs/explanation/exactness.md.
+        assert 1 - Fraction(1, 2**30) < growth / proven < 1 + Fraction(1, 100)
         unit, before = (Fraction(x) for x in bodies.boxes[row, :2].tolist())
         of_box = unit * (Fraction(float(grown.boxes[row, 1])) - before)
-        assert proven <= of_box < proven + unit * Fraction(1, 2**20)
-        least = min(least, growth / (stray + turn * arm)) if stray else least
+        assert proven <= of_box < proven + (unit * before + proven) * Fraction(1, 2**20)
+        least = min(least, growth / (stray + turned * arm)) if stray else least
     assert least < 64  # the bound is not far above what occurs
 
 
-def test_spheres_of_centred_bodies_need_no_growth() -> None:
-    mesh = pgccd.Mesh.box([1.0, 2.0, 3.0], origin="centroid")
-    scene = pgccd.Scene([mesh], [0, 0])
+def test_spheres_and_boxes_of_centred_bodies_need_no_growth() -> None:
+    """Boxes of bodies off centre are not those of bodies that are stopped; they are not used then."""
     motion = pgccd.RigidMotion.at_rest(torch.zeros(2, 3), torch.eye(4)[[0, 0]])
+    origins: tuple[Any, ...] = ("centroid", (20.0, 0.0, 0.0))
+    for origin in origins:
+        mesh = pgccd.Mesh.box([40.0, 1.0, 1.0], origin=origin)
+        bodies = pgccd.MovingBodies.of(pgccd.Scene([mesh], [0, 0]), motion)
+        is_centred = origin == "centroid"
+        assert (bodies.stoppable() is bodies) == is_centred
+        assert bodies.boxes is not None and (bodies.boxes_at_any_times is bodies.boxes) == is_centred
+
+
+def test_lists_are_searched_in_parts_and_found_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene, motion = bodies_of(60, 2)
     bodies = pgccd.MovingBodies.of(scene, motion)
-    assert bodies.stoppable() is bodies
+    every, lengths = torch.combinations(torch.arange(60)), [1000, 1770]
+    query = Query("first", 0.0, None, nonzero_toi=True)
+    search = ListedSearch([], scene.meshes, bodies.tensors, None, lambda: every[: lengths.pop(0)], query)
+    changed, fraction = torch.ones(60, dtype=torch.uint8), torch.full((60,), 0.9, dtype=torch.float64)
+
+    def contacts(limit: int) -> dict[str, Tensor]:
+        monkeypatch.setattr(listed, "memory_limit", lambda *_: limit)
+        found, counts = search.find_round(changed, fraction, EXACTLY, fraction)
+        columns = {name: torch.cat([getattr(part, name) for part in found]) for name in ("rows", "id", "toi")}
+        assert int(counts[COUNT_ROWS["contacts"]]) == len(columns["toi"])
+        return columns
+
+    some = contacts(1 << 30)
+    assert difference(contacts(100), some) is None  # in parts
+    search.look_again()
+    more = contacts(1 << 30)
+    count = len(some["toi"])
+    assert 20 < count < len(more["toi"]) and lengths == []
+    assert difference({name: column[:count] for name, column in more.items()}, some) is None
 
 
 @pytest.mark.parametrize("seed", range(12))

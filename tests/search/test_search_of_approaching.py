@@ -10,7 +10,7 @@ import torch
 from support.calls import Given
 from support.hard_scenes import hard_scene
 from support.random_scenes import random_scene
-from support.resting import KINDS, Kind, box, joined, sliding
+from support.resting import KINDS, Kind, box, joined, sheet, sliding
 from torch import Tensor
 
 import pgccd
@@ -21,7 +21,9 @@ from pgccd.contacts.sites import Sites
 from pgccd.search import approaching as searched
 
 CUBE = box((0.5, 0.5, 0.5))
-ROOM = joined(box((10, 10, 0.5), (0, 0, -0.5)), box((0.5, 10, 3), (5, 0, 3)))
+WALL = box((0.5, 10, 3), (5, 0, 2.5))
+ROOM = joined(box((10, 10, 0.5), (0, 0, -0.5)), WALL)
+TILES = joined(sheet(16, 8.0), WALL)  # hundreds of contacts before the wall
 
 
 def same(found: pgccd.Contacts, expected: pgccd.Contacts) -> None:
@@ -65,9 +67,10 @@ def test_the_first_of_all_contacts_that_approach(seed: int, monkeypatch: pytest.
             same(pgccd.approaching(given.bodies, given.motion, hits), expected)
 
 
+@pytest.mark.parametrize("room", [ROOM, TILES])
 @pytest.mark.parametrize("kind", KINDS)
-def test_behind_what_rests(kind: Kind, monkeypatch: pytest.MonkeyPatch) -> None:
-    scene, motion = sliding(kind, [CUBE, ROOM], (0, 0, 0.5), (8.0, 0, 0))
+def test_behind_what_rests(kind: Kind, room: pgccd.Mesh, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene, motion = sliding(kind, [CUBE, room], (0, 0, 0.5), (8.0, 0, 0))
     hits, every = (pgccd.detect(scene, motion, report) for report in ("first", "all"))  # type: ignore[call-overload]
     expected = listed(scene, motion, every)
     take_small_steps(monkeypatch)
