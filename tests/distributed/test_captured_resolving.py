@@ -16,9 +16,9 @@ from distributed.conftest import World as Ranks
 from distributed.test_captured_world import meshes
 from pgccd.distributed import BalanceOptions, Bodies, CapturedWorld, Comm, World, WorldStep
 from pgccd.distributed.comm.interface import Alone
-from pgccd.distributed.halo import sizes as halo_sizes
+from pgccd.distributed.halo import halo_sizes
 from pgccd.distributed.steps import replayed as rank_steps
-from pgccd.distributed.world import graphs
+from pgccd.distributed.world import world_graphs
 from pgccd.resolution.counts import SearchCounts
 from pgccd.resolution.round_plan import RecentRounds
 
@@ -189,7 +189,7 @@ def test_nothing_moves_in_a_step_that_is_incomplete(device: torch.device) -> Non
         return response(bodies, shortened, fraction)
 
     with graphs_on(device) as stack:
-        stack.enter_context(mock.patch.object(graphs, "SearchCounts", Losing))
+        stack.enter_context(mock.patch.object(world_graphs, "SearchCounts", Losing))
         world = spread(Alone(), device, "report")
         steps = CapturedWorld(world, noted, answer, True, resolve=True, movable=movable).run(STEPS)
         assert [step.replayed for step in steps].index(False, 1) == 9

@@ -14,13 +14,14 @@ from support.steps import alone, step_of
 
 from pgccd.distributed import Alone
 from pgccd.distributed.detection.options import PassEstimates
-from pgccd.resolution.round_plan import RoundPlan
+from pgccd.resolution import round_plan
+from pgccd.resolution.round_plan import RecentRounds, RoundPlan
 from pgccd.runtime import replayed_steps, transaction
 from pgccd.runtime.sizes import BufferSizes
 from pgccd.search import detect as pipeline
-from pgccd.sim import CommittedStep, Model, ModelConfig, RobotState, Simulation, Step, captured
+from pgccd.sim import CommittedStep, Model, ModelConfig, RobotState, Simulation, Step
 from pgccd.sim import simulation as simulation_module
-from pgccd.sim.captured import RecentRounds, StepGraph
+from pgccd.sim.step_graph import StepGraph
 
 FAST: dict[str, Any] = {"robots": 150, "speed": 0.3, "spin": 0.5, "seed": 3}
 STEPS = 40
@@ -186,7 +187,7 @@ def test_an_invalid_state(device: torch.device, graphs: list[StepGraph]) -> None
 def test_rounds_that_no_recent_step_needed(
     device: torch.device, graphs: list[StepGraph], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(captured, "_RECENT_STEPS", 6)
+    monkeypatch.setattr(round_plan, "_STEPS_OF_GRAPH", 6)
     model = Model(ModelConfig(**FAST | {"speed": 0.02, "spin": 0.0}), device=device)
     expected, last = run_eagerly(model, STEPS)
     simulation = alone(model, graph=True)
