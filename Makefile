@@ -23,7 +23,7 @@ PARALLEL = $$($(VENV_PYTHON) -c "import xdist" 2>/dev/null && echo "-n 3")
 SANITIZED = tests/kernels/test_rows.py tests/search/test_search_in_parts.py tests/search/test_traverse.py \
 	tests/search/test_padded.py tests/search/test_self_collision_padded.py tests/search/test_intersecting.py \
 	tests/runtime/test_side_stream.py tests/sim tests/kernels/test_subdomain.py \
-	--ignore tests/sim/test_captured.py -m "cuda and not slow" -k "not graph and not compile and not one_wait"
+	--ignore tests/sim/test_step_graph.py -m "cuda and not slow" -k "not graph and not compile and not one_wait"
 
 .PHONY: demo test docs sanitize lint bench bench-peers build wheel clean
 

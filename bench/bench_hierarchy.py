@@ -16,7 +16,7 @@ from support import results, timing
 import pgccd
 from pgccd import _host
 from pgccd.geometry.mesh import LEAF_SIZE
-from pgccd.sim.robot import robot_mesh
+from pgccd.sim.nanorobot import robot_mesh
 
 _TERRAINS = (50, 200, 1000)  # cells along each side, of two triangles
 

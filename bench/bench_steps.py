@@ -21,7 +21,7 @@ import torch
 from support import results, timing
 
 from pgccd import distributed, sim
-from pgccd.sim.captured import CommittedStep
+from pgccd.sim.step_graph import CommittedStep
 
 
 def main() -> None:

@@ -25,9 +25,9 @@ from pgccd.search.broad import BROAD_PHASES
 from pgccd.search.detect import CollideOptions
 from pgccd.search.narrow import REPORTS
 from pgccd.sim import command
-from pgccd.sim.checkpoint import Header, require_checkpoint
 from pgccd.sim.pictures import shown_steps, write_pictures
 from pgccd.sim.progress import Progress, terminal_progress
+from pgccd.sim.run_checkpoint import Header, require_checkpoint
 from pgccd.sim.run_folder import mesh_files
 from pgccd.sim.summary import Totals
 from pgccd.viz import Page

@@ -136,7 +136,7 @@ def namespace(module: str) -> dict[str, Any]:
     if module.startswith("pgccd.distributed.world."):
         names |= two_bodies() | {"comm": distributed.Alone()}
         payload = {"velocity": names["v"]}
-        if module == "pgccd.distributed.world.captured":
+        if module == "pgccd.distributed.world.loop":
             payload |= {"q": names["q0"], "v": names["v"], "w": names["w"]}
         names["world"] = distributed.World.create([names["rock"]], (0, 0, 0), (9, 9, 9), names["x"], payload=payload)
     if module == "pgccd.search.narrow":

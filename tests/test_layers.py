@@ -10,16 +10,16 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 CSRC, PACKAGE, TESTS = ROOT / "csrc", ROOT / "pgccd", ROOT / "tests"
-# Layers bottom to top; each may include those listed.
-MAY_INCLUDE = {
-    "core": {"core"},
-    "kernels": {"core", "kernels"},
-    "mesh": {"core", "mesh"},
-    "bind": {"core", "kernels", "mesh", "bind"},
-}
 CUDA_HEADERS = ("cub/", "cuda", "cooperative_groups", "cuda_runtime", "thrust/", "nv/")
 TORCH_HEADERS = ("torch/", "ATen/", "c10/", "pybind11/", "Python.h")
 MOST_LINES = {"header": 400, "kernel": 400, "python": 600, "test": 600}
+
+
+def drawn() -> dict[str, set[str]]:
+    """For each folder in the drawing of docs/explanation/architecture.md, from above, the folders that it may use."""
+    text = (ROOT / "docs/explanation/architecture.md").read_text().split("## The house", 1)[1].split("\n## ", 1)[0]
+    rows = re.findall(r"^\| `([a-z/]+)/` \|[^|]*\|([^|]*)\|$", text, re.MULTILINE)
+    return {name: set(re.findall(r"`([a-z]+)`", used)) for name, used in rows}
 
 
 def sources() -> list[Path]:
@@ -54,11 +54,11 @@ def imports(path: Path, only_top_level: bool = False) -> set[str]:
 
 
 def test_layers_include_only_what_they_may() -> None:
-    wrong = []
+    wrong, may_include = [], drawn()
     for path in sources():
         layer = path.relative_to(CSRC).parts[0]
         for quoted, name in includes(path):
-            if quoted and name.split("/")[0] not in MAY_INCLUDE[layer]:
+            if quoted and name.split("/")[0] not in {layer, *may_include[f"csrc/{layer}"]}:
                 wrong.append(f"{path.relative_to(ROOT)} includes {name}")
             if not quoted and layer != "bind" and name.startswith(TORCH_HEADERS):
                 wrong.append(f"{path.relative_to(ROOT)} includes {name}")
@@ -145,47 +145,15 @@ def test_trimesh_is_imported_lazily_and_in_one_place() -> None:
         assert not any(n.split(".")[0] == "trimesh" for n in imports(path, only_top_level=True)), path
 
 
-def test_single_device_modules_do_not_know_the_cluster() -> None:
-    upper = ("pgccd.distributed", "pgccd.sim", "pgccd.baselines", "pgccd.viz", "pgccd.cli")
-    lower = (
-        PACKAGE / folder
-        for folder in (
-            "geometry",
-            "motion",
-            "search",
-            "contacts",
-            "resolution",
-            "robots",
-            "auditing",
-            "ops",
-            "runtime",
-            "checkpoint",
-        )
-    )
-    wrong = [
-        (path.name, name)
-        for path in [*PACKAGE.glob("*.py"), *python_files(*lower)]
-        if path.stem
-        not in {"cli", "__main__", "__init__"}  # __init__ imports them for type checkers only: see test_package
-        for name in imports(path)
-        if name.startswith(upper)
-    ]
-    assert wrong == []
+def test_the_drawing_has_every_folder() -> None:
+    folders = {path.parent.relative_to(PACKAGE).as_posix() for path in PACKAGE.glob("*/**/__init__.py")}
+    layers = {f"csrc/{path.relative_to(CSRC).parts[0]}" for path in sources()}
+    assert set(drawn()) == folders | layers
 
 
-def test_packages_import_only_those_below() -> None:
-    may_import = {
-        "runtime": set(),
-        "checkpoint": {"runtime"},
-        "geometry": set(),
-        "motion": {"geometry"},
-        "contacts": {"geometry", "motion", "runtime"},
-        "search": {"geometry", "motion", "runtime", "contacts"},
-        "resolution": {"geometry", "motion", "search", "contacts", "runtime"},
-        "robots": {"geometry", "motion", "search", "contacts"},
-        "auditing": {"geometry", "motion", "search", "contacts"},
-    }
-    rooms = {f"pgccd.{name}" for name in may_import}
+def test_packages_import_only_what_the_drawing_says() -> None:
+    may_import = {name: used for name, used in drawn().items() if "/" not in name}
+    rooms = {f"pgccd.{name}" for name in may_import} - {"pgccd.ops"}
     for name, below in may_import.items():
         known = {f"pgccd.{other}" for other in {name, *below}}
         for path in python_files(PACKAGE / name):
@@ -195,13 +163,27 @@ def test_packages_import_only_those_below() -> None:
             assert used <= known, path
 
 
+def test_packages_are_drawn_above_those_that_they_use() -> None:
+    names = list(drawn())
+    for name, used in drawn().items():
+        folder = "csrc/" if name.startswith("csrc/") else ""
+        assert all(names.index(folder + other) > names.index(name) for other in used), name
+
+
+def test_single_modules_know_only_scenes_and_motions() -> None:
+    for path in PACKAGE.glob("*.py"):
+        # __init__ imports the others for type checkers only: see test_package.
+        if path.stem not in {"cli", "__main__", "__init__"}:
+            used = {".".join(name.split(".")[:2]) for name in imports(path)} & {f"pgccd.{name}" for name in drawn()}
+            assert used <= {"pgccd.geometry", "pgccd.motion"}, path
+
+
 def test_folders_of_ranks_import_only_those_below() -> None:
-    folders = ("guard", "comm", "launch", "partition", "halo", "checkpoint", "detection", "steps", "world")
+    folders = [name.partition("/")[2] for name in drawn() if name.startswith("distributed/")]
     root = PACKAGE / "distributed"
-    assert {path.parent.name for path in root.glob("*/__init__.py")} == set(folders)
     assert [path.name for path in root.glob("*.py")] == ["__init__.py"]
     for level, folder in enumerate(folders):
-        below = {f"pgccd.distributed.{name}" for name in folders[: level + 1]}
+        below = {f"pgccd.distributed.{name}" for name in folders[level:]}
         for path in python_files(root / folder):
             used = {".".join(n.split(".")[:3]) for n in imports(path) if n.startswith("pgccd.distributed")}
             assert used <= below, path
@@ -212,11 +194,6 @@ def test_stages_do_not_import_one_another() -> None:
     for stage in stages:
         used = imports(PACKAGE / "search" / f"{stage}.py")
         assert not used & {f"pgccd.search.{other}" for other in stages - {stage}}, stage
-
-
-def test_pictures_know_no_simulation() -> None:
-    for path in python_files(PACKAGE / "viz"):
-        assert not any(name.startswith(("pgccd.sim", "pgccd.distributed")) for name in imports(path)), path
 
 
 def test_modules_do_not_import_one_another_in_circles() -> None:
@@ -237,11 +214,6 @@ def run_time_imports(path: Path) -> set[str]:
         if isinstance(node, ast.ImportFrom) and node.module:
             found |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
     return found
-
-
-def test_generic_ranks_know_no_simulation() -> None:
-    for path in python_files(PACKAGE / "distributed"):
-        assert not any(name.startswith("pgccd.sim") for name in imports(path)), path
 
 
 def test_few_files_know_what_carries_messages() -> None:

@@ -72,3 +72,18 @@ def test_broken_links_are_noticed(tmp_path: Path) -> None:
     assert broken_links(page) == ["lost.md", "lost.png", "#comment", "page.md#part-2"]
     lost = ["docs/lost.md", "bench/results/lost-*.json", "tests/test_lost.py", "test_lost.py", "sim/test_lost.py"]
     assert missing_files(page) == lost
+
+
+def test_files_to_open_exist() -> None:
+    """Of the table "To change X, open Y": files from pgccd or the root, and tests from their folder or the root."""
+    table = (ROOT / "docs/contributing.md").read_text().split("\n## To change X, open Y\n")[1].split("\n## ")[0]
+    rows = [row.split("|") for row in re.findall(r"^\| (.*) \|$", table, re.MULTILINE)][1:]
+    assert len(rows) > 20
+    for _, files, tests in rows:
+        for folder, names in (("pgccd", files), ("tests", tests)):
+            missing = [
+                name
+                for name in re.findall(r"`([^`]+)`", names)
+                if not any(map(Path.exists, (ROOT / folder / name, ROOT / name)))
+            ]
+            assert missing == []

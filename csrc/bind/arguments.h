@@ -189,7 +189,7 @@ inline BroadPhaseChoice broad_phase_choice(int64_t broad_phase, int64_t axis) {
 inline BroadBodies broad_view(const Tensor& position_t0, const Tensor& position_t1, const Tensor& radius,
                               const std::optional<Tensor>& group, const std::optional<Tensor>& mask,
                               const std::optional<Tensor>& world, const std::optional<Tensor>& is_static,
-                              const std::optional<Tensor>& elsewhere, const std::optional<Tensor>& boxes,
+                              const std::optional<Tensor>& in_other_search, const std::optional<Tensor>& boxes,
                               const KeptDistance& kept) {
   const double* radii = rows<double>(radius, "radius", {kAnySize});
   const int64_t count = radius.size(0);
@@ -202,7 +202,7 @@ inline BroadBodies broad_view(const Tensor& position_t0, const Tensor& position_
   view.mask = optional_column<int64_t>(mask, "mask", count);
   view.world = optional_column<int32_t>(world, "world", count);
   view.is_static = optional_column<uint8_t>(is_static, "is_static", count);
-  view.elsewhere = optional_column<uint8_t>(elsewhere, "elsewhere", count);
+  view.in_other_search = optional_column<uint8_t>(in_other_search, "in_other_search", count);
   view.boxes = boxes ? rows<float, MovingBox>(*boxes, "boxes", {count, kMovingBoxColumns}) : nullptr;
   view.separation = kept.separation;
   view.tolerance = kept.tolerance;

@@ -143,11 +143,11 @@ struct DetectOps {
   static Tensor broad_pairs(const Tensor& position_t0, const Tensor& position_t1, const Tensor& radius,
                             const std::optional<Tensor>& group, const std::optional<Tensor>& mask,
                             const std::optional<Tensor>& world, const std::optional<Tensor>& is_static,
-                            const std::optional<Tensor>& elsewhere, double min_separation, double tolerance,
+                            const std::optional<Tensor>& in_other_search, double min_separation, double tolerance,
                             int64_t broad_phase, int64_t axis, bool at_any_times, const std::optional<Tensor>& boxes) {
     const BroadPhaseChoice choice = broad_phase_choice(broad_phase, axis);
-    BroadBodies bodies = broad_view(position_t0, position_t1, radius, group, mask, world, is_static, elsewhere, boxes,
-                                    {min_separation, tolerance});
+    BroadBodies bodies = broad_view(position_t0, position_t1, radius, group, mask, world, is_static, in_other_search,
+                                    boxes, {min_separation, tolerance});
     bodies.at_any_times = at_any_times;
     Tensor pairs = radius;
     const auto make_rows = [&](int64_t count) {

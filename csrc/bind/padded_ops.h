@@ -17,12 +17,12 @@ struct PaddedOps {
   static std::tuple<Tensor, Tensor> pairs(const Tensor& position_t0, const Tensor& position_t1, const Tensor& radius,
                                           const std::optional<Tensor>& group, const std::optional<Tensor>& mask,
                                           const std::optional<Tensor>& world, const std::optional<Tensor>& is_static,
-                                          const std::optional<Tensor>& elsewhere,
+                                          const std::optional<Tensor>& in_other_search,
                                           const std::optional<Tensor>& is_invalid, double min_separation,
                                           double tolerance, int64_t broad_phase, const std::vector<int64_t>& capacity,
                                           bool at_any_times, const std::optional<Tensor>& boxes) {
-    BroadBodies bodies = broad_view(position_t0, position_t1, radius, group, mask, world, is_static, elsewhere, boxes,
-                                    {min_separation, tolerance});
+    BroadBodies bodies = broad_view(position_t0, position_t1, radius, group, mask, world, is_static, in_other_search,
+                                    boxes, {min_separation, tolerance});
     bodies.is_invalid = optional_column<int64_t>(is_invalid, "is_invalid", 1);
     bodies.at_any_times = at_any_times;
     check_capacity(capacity, 3);

@@ -46,7 +46,7 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
   // broad_phase: see kernels/broad/broad.h; axis: used by the sweep only; boxes: of moving_boxes
   library.def(
       "broad_pairs(Tensor position_t0, Tensor position_t1, Tensor radius, Tensor? group, Tensor? mask, Tensor? world, "
-      "Tensor? is_static, Tensor? elsewhere, float min_separation, float tolerance, int broad_phase, int axis, "
+      "Tensor? is_static, Tensor? in_other_search, float min_separation, float tolerance, int broad_phase, int axis, "
       "bool at_any_times=False, Tensor? boxes=None) -> Tensor");
   // pairs (P, 2) i64 of broad_pairs at any times, rows of -1 anywhere; meeting (P, 2) i64, padded with -1; found (1,)
   // i64
@@ -70,7 +70,7 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
   // Does not synchronise. capacity = [pairs, overlaps, long_rows], see kernels/padded_pairs.h.
   library.def(
       "pairs_padded(Tensor position_t0, Tensor position_t1, Tensor radius, Tensor? group, Tensor? mask, Tensor? world, "
-      "Tensor? is_static, Tensor? elsewhere, Tensor? is_invalid, float min_separation, float tolerance, "
+      "Tensor? is_static, Tensor? in_other_search, Tensor? is_invalid, float min_separation, float tolerance, "
       "int broad_phase, int[] capacity, bool at_any_times=False, Tensor? boxes=None) -> (Tensor pairs, Tensor counts)");
   // Columns of contacts, body pairs (., 2) i64 first; all counts, followed by invalid_rows. capacity = [poses, tasks,
   // leaf_pairs, candidates, launches, crowded, open, contacts]; capacities and counts: see kernels/traverse/traverse.h

@@ -191,8 +191,8 @@ class PCCCD:
             chunks=1,
             seconds=clock.seconds,
         )
-        told: dict[str, Any] = received
-        return Contacts(**told, stats=stats)
+        own_contacts: dict[str, Any] = received
+        return Contacts(**own_contacts, stats=stats)
 
     def balance(self) -> None:
         """Balances the number of boxes per rank in the last call of `detect` by moving voxels: the largest first, each

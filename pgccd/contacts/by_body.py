@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from pgccd import arguments
-from pgccd.geometry.columns import require_worlds
 from pgccd.geometry.scene import Derived, Scene
+from pgccd.geometry.scene_columns import require_worlds
 
 #: What results are given for.
 By = Literal["scene", "world", "body"]

@@ -16,11 +16,11 @@ from pgccd.distributed.partition.balance import BalanceOptions
 from pgccd.distributed.partition.bisection import Bisection
 from pgccd.distributed.partition.cells import Cells
 from pgccd.distributed.partition.interface import Partition
-from pgccd.distributed.world.captured import CapturedWorld
 from pgccd.distributed.world.functions import Bodies
-from pgccd.distributed.world.graphs import WorldStep
+from pgccd.distributed.world.loop import CapturedWorld
 from pgccd.distributed.world.resolve import WorldResolution
 from pgccd.distributed.world.world import World
+from pgccd.distributed.world.world_graphs import WorldStep
 
 __all__ = [
     "Alone",

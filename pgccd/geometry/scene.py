@@ -12,7 +12,8 @@ import torch
 from torch import Tensor
 
 from pgccd import arguments
-from pgccd.geometry.columns import (
+from pgccd.geometry.mesh import Mesh, MeshSet
+from pgccd.geometry.scene_columns import (
     bool_column,
     integer_column,
     margin_column,
@@ -22,7 +23,6 @@ from pgccd.geometry.columns import (
     self_column,
     world_column,
 )
-from pgccd.geometry.mesh import Mesh, MeshSet
 
 #: Columns of a scene that filter pairs.
 FILTERS = ("group", "mask", "world", "static")

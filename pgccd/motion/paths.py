@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from pgccd import arguments, ops
-from pgccd.motion.columns import MovingColumns
 from pgccd.motion.differentiable import any_differentiated, pose_at, rotation_between, with_gradient_of
+from pgccd.motion.moving_columns import MovingColumns
 from pgccd.motion.times import broadcast_times, fractions_of
 from pgccd.motion.validation import checks_of
 

@@ -106,7 +106,7 @@ def broad_pairs(
     mask: Tensor | None,
     world: Tensor | None,
     is_static: Tensor | None,
-    elsewhere: Tensor | None,
+    in_other_search: Tensor | None,
     min_separation: float,
     tolerance: float,
     broad_phase: int,
@@ -116,7 +116,7 @@ def broad_pairs(
 ) -> Tensor:
     """Sorted pairs (P, 2) int64 of swept spheres that come within min_separation + tolerance; a negative tolerance is
     relative to the smaller radius of a pair. Pairs of two static bodies are left out, and pairs of two bodies marked by
-    elsewhere, (N,) uint8. broad_phase: number in csrc/kernels/broad/broad.h; axis: of a sweep, -1 for automatic.
+    in_other_search, (N,) uint8. broad_phase: number in csrc/kernels/broad/broad.h; axis: of a sweep, -1 for automatic.
     Neither affects the result. at_any_times: also pairs that may come so near at two times, each of one body. boxes
     (N, 28): of `moving_boxes`, pairs of which stay apart are left out.
     """
@@ -174,7 +174,7 @@ def pairs_padded(
     mask: Tensor | None,
     world: Tensor | None,
     is_static: Tensor | None,
-    elsewhere: Tensor | None,
+    in_other_search: Tensor | None,
     is_invalid: Tensor | None,
     min_separation: float,
     tolerance: float,

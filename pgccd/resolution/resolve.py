@@ -11,8 +11,8 @@ from torch import Tensor
 
 from pgccd import arguments
 from pgccd.contacts.contacts import Contacts
-from pgccd.geometry.columns import bool_column
 from pgccd.geometry.scene import Scene
+from pgccd.geometry.scene_columns import bool_column
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
 from pgccd.resolution.listed import ListedSearch, are_near, is_on_arcs, is_short, travels_of

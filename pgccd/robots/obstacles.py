@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from pgccd import arguments
-from pgccd.geometry.columns import integer_column, margin_column, require_meshes
 from pgccd.geometry.mesh import Mesh
+from pgccd.geometry.scene_columns import integer_column, margin_column, require_meshes
 from pgccd.motion.validation import LARGEST_COORDINATE, UNIT_TOLERANCE
 
 

@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 
 from pgccd import arguments, ops
-from pgccd.geometry.columns import mesh_expected
 from pgccd.geometry.mesh import MeshSet
 from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
+from pgccd.geometry.scene_columns import mesh_expected
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.validation import MARGIN, Check, Checked, Validation, first_invalid_radius, first_invalid_rows, joined
 

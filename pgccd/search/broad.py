@@ -147,7 +147,7 @@ def find_pairs_padded(
     capacity: BufferSizes,
     invalid: Tensor,
     tolerance: float | None = None,
-    elsewhere: Tensor | None = None,
+    in_other_search: Tensor | None = None,
     at_any_times: bool = False,
 ) -> tuple[Tensor, Tensor]:
     """The PCS in a given capacity, without synchronising.
@@ -156,7 +156,7 @@ def find_pairs_padded(
         bodies, min_separation, broad_phase, tolerance: as for `find_pairs`.
         capacity: of the pairs and of the broad phase's buffers.
         invalid: (1,) int64; if nonzero, no pairs are returned.
-        elsewhere: (N,) uint8, nonzero for bodies whose pairs with each other are found elsewhere, and left out here.
+        in_other_search: (N,) uint8, nonzero for bodies whose pairs with each other another search finds: left out here.
         at_any_times: whether to return all pairs that may come so near at two times, equal or not, each of one body:
             those that may collide if bodies are stopped or slowed down anywhere on their way. The PCS is among them.
             The bodies are `MovingBodies.stoppable`.
@@ -170,7 +170,7 @@ def find_pairs_padded(
     pair_capacity, *rest = capacity.of_pairs
     pairs, counts = ops.pairs_padded(
         *_columns(bodies),
-        elsewhere,
+        in_other_search,
         invalid,
         *_lengths(min_separation, tolerance),
         number,
@@ -222,14 +222,14 @@ def find_pairs_of_checked(
     chosen: str,
     tolerance: float | None = None,
     axis: int = -1,
-    elsewhere: Tensor | None = None,
+    in_other_search: Tensor | None = None,
     at_any_times: bool = False,
 ) -> Tensor:
-    """As `find_pairs`, without checks; `chosen` comes from `choose`. elsewhere, at_any_times: see
+    """As `find_pairs`, without checks; `chosen` comes from `choose`. in_other_search, at_any_times: see
     `find_pairs_padded`.
     """
     lengths, number = _lengths(min_separation, tolerance), BROAD_PHASE_NUMBERS[chosen]
-    pairs = ops.broad_pairs(*_columns(bodies), elsewhere, *lengths, number, axis, at_any_times, bodies.boxes)
+    pairs = ops.broad_pairs(*_columns(bodies), in_other_search, *lengths, number, axis, at_any_times, bodies.boxes)
     pairs = with_self_pairs(bodies, pairs)
     return pairs if bodies.scene.exclude is None else pairs[_is_tested(bodies, pairs)]
 

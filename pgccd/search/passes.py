@@ -167,7 +167,7 @@ def find_pass(
     rows: Tensor | None = None,
     estimate: CapacityEstimate | None = None,
     slack: float = PASS_SLACK,
-    elsewhere: Tensor | None = None,
+    in_other_search: Tensor | None = None,
     at_any_times: bool = False,
 ) -> SearchPass:
     """The PCS of bodies, as a pass. On a GPU it is found in an estimated capacity without synchronising, if the
@@ -179,14 +179,14 @@ def find_pass(
         discard: (1,) int64 on the device; if nonzero, the result will be discarded and the search returns immediately.
         rows, estimate: as for `SearchPass`.
         slack: capacity relative to what the last step needed.
-        elsewhere: (N,) uint8, nonzero for bodies whose pairs with each other are left out: another pass has them.
+        in_other_search: (N,) uint8, nonzero for bodies whose pairs with each other another pass finds: left out here.
         at_any_times: whether to find `SearchPass.swept_pairs` too, by one broad phase.
 
     Raises:
         ValueError: the bodies are invalid, and the capacity could not be estimated.
     """
     separation, tolerance = query.min_separation, query.tolerance
-    beyond: dict[str, Any] = {"elsewhere": elsewhere, "at_any_times": at_any_times}
+    beyond: dict[str, Any] = {"in_other_search": in_other_search, "at_any_times": at_any_times}
 
     def select_pairs(pairs: Tensor) -> tuple[FoundPairs, Tensor | None]:
         """The pairs of this pass, which may be followed by rows of -1, and the number of those to search, if some were

@@ -6,18 +6,18 @@ public too, for other simulations.
 
 from pgccd.checkpoint.files import CheckpointError
 from pgccd.resolution.rounds import Fractions
-from pgccd.sim.captured import CommittedStep
-from pgccd.sim.checkpoint import Checkpoint, load_checkpoint
-from pgccd.sim.hashing import contacts_hash, state_hash
 from pgccd.sim.log import LOG_FILE, read_log
 from pgccd.sim.model import PATTERNS, Model, ModelConfig, RobotState
+from pgccd.sim.nanorobot import robot_mesh
 from pgccd.sim.pictures import page_of_steps, snapshot_of_state, snapshot_of_step
 from pgccd.sim.rank_options import RankOptions
 from pgccd.sim.response import respond
-from pgccd.sim.robot import robot_mesh
+from pgccd.sim.run_checkpoint import Checkpoint, load_checkpoint
 from pgccd.sim.runner import Run, resume, run
 from pgccd.sim.simulation import Simulation, starting_share
+from pgccd.sim.state_hashes import contacts_hash, state_hash
 from pgccd.sim.step import Step
+from pgccd.sim.step_graph import CommittedStep
 
 __all__ = [
     "LOG_FILE",

@@ -20,8 +20,8 @@ from pgccd.distributed.launch.connect import DEFAULT_TIMEOUT, TRANSPORTS, connec
 from pgccd.distributed.launch.placement import find_placement
 from pgccd.distributed.partition.balance import POLICIES, BalanceOptions
 from pgccd.distributed.partition.cut import DEFAULT_AXES, DEFAULT_CELLS, PARTITION_CHOICES
-from pgccd.sim.checkpoint import find_checkpoint
 from pgccd.sim.rank_options import RankOptions
+from pgccd.sim.run_checkpoint import find_checkpoint
 
 _FAILURE_CODE = 70
 _TELLING_SECONDS = 0.5

@@ -14,7 +14,7 @@ from pgccd import arguments, ops
 from pgccd.geometry.mesh import Mesh, MeshSet
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion
-from pgccd.sim.robot import robot_mesh
+from pgccd.sim.nanorobot import robot_mesh
 
 Pattern = Literal["random", "skewed"]
 PATTERNS: tuple[Pattern, ...] = get_args(Pattern)

@@ -7,7 +7,7 @@ from typing import Any
 from pgccd.checkpoint.files import one_line, read_json, replace_text
 from pgccd.checkpoint.lock import FolderError
 from pgccd.checkpoint.regular import read_regular
-from pgccd.sim.checkpoint import find_checkpoint, forget_checkpoints
+from pgccd.sim.run_checkpoint import find_checkpoint, forget_checkpoints
 
 WORLD_FILE = "world.json"
 _MOST_BYTES = 1 << 24

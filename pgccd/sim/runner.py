@@ -25,17 +25,17 @@ from pgccd.distributed.launch.agreement import on_first, require_agreement, toge
 from pgccd.geometry.digest import meshes_digest
 from pgccd.geometry.mesh import Mesh
 from pgccd.search.broad import BroadPhase
-from pgccd.sim.captured import CommittedStep
-from pgccd.sim.checkpoint import KIND, ROBOTS, Header, StoredCheckpoint, require_checkpoint
 from pgccd.sim.gathering import gather_sample
-from pgccd.sim.hashing import state_hash
 from pgccd.sim.log import StepLog, iterate_log
 from pgccd.sim.model import Model, ModelConfig, RobotState
 from pgccd.sim.progress import Progress
 from pgccd.sim.rank_options import RankOptions
+from pgccd.sim.run_checkpoint import KIND, ROBOTS, Header, StoredCheckpoint, require_checkpoint
 from pgccd.sim.run_folder import begin
 from pgccd.sim.simulation import Simulation
+from pgccd.sim.state_hashes import state_hash
 from pgccd.sim.step import Step
+from pgccd.sim.step_graph import CommittedStep
 
 # Maximum number of robots gathered on one rank, some 0.3 GB with their contacts; a picture draws no more.
 _MOST_GATHERED = 1_000_000

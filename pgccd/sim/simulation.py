@@ -14,8 +14,8 @@ from pgccd.distributed.detection.held_exchange import HeldExchange
 from pgccd.distributed.detection.options import SearchOptions
 from pgccd.distributed.detection.share import Share, search_share
 from pgccd.distributed.guard import collective
-from pgccd.distributed.halo.migrate import Census, count_leaving, id_range, migrate
-from pgccd.distributed.halo.sizes import HaloSizes
+from pgccd.distributed.halo.halo_sizes import HaloSizes
+from pgccd.distributed.halo.migrate import IdChecksum, count_leaving, id_range, migrate
 from pgccd.distributed.partition.balance import BalanceOptions
 from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.distributed.partition.interface import Partition
@@ -33,12 +33,12 @@ from pgccd.search.bodies import MovingBodies
 from pgccd.search.broad import BroadPhase
 from pgccd.search.passes import pairs_of_rounds
 from pgccd.search.query import Query
-from pgccd.sim.captured import CommittedStep, Searches, StepGraph
 from pgccd.sim.model import Model, RobotState
 from pgccd.sim.rank_options import RankOptions
 from pgccd.sim.reports import REPORTED, Reports
 from pgccd.sim.response import respond
 from pgccd.sim.step import Step
+from pgccd.sim.step_graph import CommittedStep, Searches, StepGraph
 from pgccd.sim.tally import COUNTED, Tally, count_step
 
 #: Options of the search of the whole step and of every round. nonzero_toi: robots that separate after a contact may
@@ -69,7 +69,7 @@ class Simulation(RankSteps[Step, CommittedStep, StepGraph]):
         decomposition: Decomposition,
         model: Model,
         state: RobotState,
-        expected: Census,
+        expected: IdChecksum,
         balance: BalanceOptions,
         options: SearchOptions,
         graph: bool,
@@ -125,7 +125,7 @@ class Simulation(RankSteps[Step, CommittedStep, StepGraph]):
         partition = RankOptions().cut(comm, model) if partition is None else partition
         state = starting_share(comm, model) if state is None else state
         state = RobotState(**take_rows(state.columns, torch.argsort(state.id)))
-        expected = Census.of_range(comm, model.config.robots)
+        expected = IdChecksum.of_range(comm, model.config.robots)
         simulation = cls(
             Decomposition(comm, partition), model, state, expected, balance or BalanceOptions(), options, graph
         )
@@ -160,7 +160,7 @@ class Simulation(RankSteps[Step, CommittedStep, StepGraph]):
         Raises:
             RuntimeError: robots are lost or duplicated.
         """
-        Census.of_ranks(self.comm, self.state.id).require(self._expected)
+        IdChecksum.of_ranks(self.comm, self.state.id).require(self._expected)
 
     @collective
     def step(self, index: int, stop: bool = False, more: int = 0) -> Step | CommittedStep:
@@ -185,10 +185,10 @@ class Simulation(RankSteps[Step, CommittedStep, StepGraph]):
             bodies = MovingBodies.of(self._scene_of(planned.id), self.model.motion(planned), wait=False)
         own = planned.moving_columns
 
-        def beside(share: Share) -> tuple[HeldExchange, ListedSearch]:
+        def start_exchange(share: Share) -> tuple[HeldExchange, ListedSearch]:
             return HeldExchange.start(share, self._rank.decomposition), rounds_of(share, bodies, own)
 
-        share, (exchange, rounds) = self._rank.search(own, bodies, self._complete, self.options, clock, beside)
+        share, (exchange, rounds) = self._rank.search(own, bodies, self._complete, self.options, clock, start_exchange)
         after: RobotState = planned
 
         def summarise(fraction: Tensor) -> Tensor:
@@ -236,7 +236,7 @@ class Simulation(RankSteps[Step, CommittedStep, StepGraph]):
     def _tally(self, reports: Reports) -> Tally:
         """The tally over all ranks. Raises RuntimeError if robots were lost or duplicated."""
         tally = Tally.of(reports.work, reports.counted)
-        Census(tally.robots, tally.id_hash).require(self._expected)
+        IdChecksum(tally.robots, tally.id_hash).require(self._expected)
         return tally
 
     def _host_numbers(self, share: Share) -> Tensor:
@@ -307,7 +307,7 @@ class Simulation(RankSteps[Step, CommittedStep, StepGraph]):
             scene._leave_out(planned.id < 0)
         bodies = MovingBodies.of(scene, self.model.motion(planned), wait=False)
 
-        def beside(share: Share) -> tuple[HeldExchange, ListedSearch]:
+        def start_exchange(share: Share) -> tuple[HeldExchange, ListedSearch]:
             exchange = HeldExchange.start(share, decomposition, sizes.common, self.comm.peer_messages)
             share.passes[-1].first_contacts()
             return exchange, rounds_of(share, bodies, own)
@@ -319,7 +319,7 @@ class Simulation(RankSteps[Step, CommittedStep, StepGraph]):
             self._complete,
             self.options,
             self._rank.estimates,
-            beside=beside,
+            concurrent_work=start_exchange,
             sizes=sizes,
             synchronises=False,
             discard=discard,

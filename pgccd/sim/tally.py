@@ -10,8 +10,8 @@ from torch import Tensor
 from pgccd import ops
 from pgccd.resolution.counts import Rows
 from pgccd.runtime.stages import StageClock
-from pgccd.sim.hashing import hashed_columns
 from pgccd.sim.model import RobotState
+from pgccd.sim.state_hashes import hashed_columns
 
 
 class Tally(NamedTuple):

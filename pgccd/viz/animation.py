@@ -15,8 +15,8 @@ from pgccd.contacts.contacts import ContactColumns, PairColumns
 from pgccd.contacts.kinds import Status
 from pgccd.contacts.padded import PaddedContacts
 from pgccd.contacts.trajectories import TrajectoryContacts
-from pgccd.geometry.columns import require_meshes
 from pgccd.geometry.scene import Scene
+from pgccd.geometry.scene_columns import require_meshes
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.times import fractions_of
 from pgccd.motion.trajectory import Trajectory

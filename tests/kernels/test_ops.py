@@ -44,9 +44,9 @@ def share_out(moving: pgccd.MovingBodies) -> None:
     centres = [moving.position_t0, moving.position_t1, moving.radius]
     subdomain = partition.subdomain(1)
     reach, boundary, _ = ops.boundary_bodies(centres, 0.01, -1e-6, *subdomain)
-    pgccd.broad.find_pairs_of_checked(moving, 0.01, "sweep", elsewhere=reach)
+    pgccd.broad.find_pairs_of_checked(moving, 0.01, "sweep", in_other_search=reach)
     capacity, invalid = pgccd.Capacity.of(moving.scene.body_count), torch.zeros_like(boundary[:1])
-    pgccd.broad.find_pairs_padded(moving, 0.01, "grid", capacity, invalid, elsewhere=reach)
+    pgccd.broad.find_pairs_padded(moving, 0.01, "grid", capacity, invalid, in_other_search=reach)
     rows = torch.arange(len(boundary), device=moving.device)
     replica_ranks, counts = ops.replica_ranks(centres, 0.01, -1e-6, *subdomain, rows, [2, len(boundary) - 2], 2)
     ops.reached_ranks(centres, 0.01, -1e-6, subdomain, rows, 2)

@@ -234,7 +234,7 @@ MUTANTS = [
     Mutant(
         "pairs-found-elsewhere-kept",
         BROAD + "body_volumes.h",
-        "if (bodies.elsewhere && bodies.elsewhere[i] && bodies.elsewhere[j]) return false;",
+        "if (bodies.in_other_search && bodies.in_other_search[i] && bodies.in_other_search[j]) return false;",
         "",
         ("search/test_broad.py",),
         switched=False,

@@ -45,7 +45,7 @@ MUTANTS = [
     Mutant(
         "world-without-census",
         "pgccd/distributed/world/world.py",
-        "Census.of_ranks(self.comm, self.id).require(self.census)",
+        "IdChecksum.of_ranks(self.comm, self.id).require(self.id_checksum)",
         "pass",
         ("distributed/halo/test_migrate.py",),
         switched=False,
@@ -69,7 +69,7 @@ MUTANTS = [
     Mutant(
         "distributed-simulation-without-census",
         "pgccd/sim/simulation.py",
-        "Census(tally.robots, tally.id_hash).require(self._expected)",
+        "IdChecksum(tally.robots, tally.id_hash).require(self._expected)",
         "pass",
         ("distributed/halo/test_migrate.py",),
         switched=False,

@@ -158,10 +158,10 @@ def test_pairs_found_elsewhere(device: torch.device, has_static: bool) -> None:
     capacity = pgccd.Capacity.of(80).times(20.0)
     for broad_phase in get_args(pgccd.broad.BroadPhase):
         chosen = pgccd.broad.choose(bodies, broad_phase)
-        found = pgccd.broad.find_pairs_of_checked(bodies, 0.0, chosen, elsewhere=marks)
+        found = pgccd.broad.find_pairs_of_checked(bodies, 0.0, chosen, in_other_search=marks)
         assert torch.equal(found.cpu(), kept), broad_phase
         given = bodies, 0.0, broad_phase, capacity, torch.zeros(1, dtype=torch.int64, device=device)
-        padded, _ = pgccd.broad.find_pairs_padded(*given, elsewhere=marks)
+        padded, _ = pgccd.broad.find_pairs_padded(*given, in_other_search=marks)
         assert torch.equal(padded[: len(kept)].cpu(), kept) and bool((padded[len(kept) :] == -1).all()), broad_phase
 
 

@@ -17,8 +17,8 @@ from pgccd.resolution.rounds import Fractions, resolve_collisions
 from pgccd.runtime.stages import StageClock
 from pgccd.search.passes import SearchPass, find_pass, pairs_of_rounds
 from pgccd.sim import Model, ModelConfig, RobotState, robot_mesh
-from pgccd.sim.captured import CommittedStep
 from pgccd.sim.simulation import FIRST_CONTACTS
+from pgccd.sim.step_graph import CommittedStep
 
 ROWS = 60
 

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from pgccd.resolution.counts import GatheredCounts
 from pgccd.runtime.sizes import COUNT_ROWS
-from pgccd.sim.captured import CommittedStep
 from pgccd.sim.reports import REPORTED
+from pgccd.sim.step_graph import CommittedStep
 from pgccd.sim.tally import COUNTED, WORK
 
 intervals = st.tuples(st.integers(0, 30), st.integers(0, 12)).map(lambda given: (given[0], given[0] + given[1]))

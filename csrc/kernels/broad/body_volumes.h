@@ -14,11 +14,11 @@ namespace pgccd {
 struct BroadBodies {
   int64_t count;
   BodyCentres centres;
-  const int64_t* group;      // (count,) bits, or null: all bits
-  const int64_t* mask;       // (count,) bits, or null: all bits
-  const int32_t* world;      // (count,) or null: one world
-  const uint8_t* is_static;  // (count,) 0 or 1, or null: none
-  const uint8_t* elsewhere;  // (count,) nonzero for bodies whose pairs with each other are found elsewhere; null: none
+  const int64_t* group;            // (count,) bits, or null: all bits
+  const int64_t* mask;             // (count,) bits, or null: all bits
+  const int32_t* world;            // (count,) or null: one world
+  const uint8_t* is_static;        // (count,) 0 or 1, or null: none
+  const uint8_t* in_other_search;  // (count,) nonzero: another search finds the pairs of these bodies; null: none
   double separation;
   double tolerance;  // as in pair_tolerance
   // Nonzero if the input is invalid, which the host has not read yet; no pairs are then found. May be null.
@@ -36,7 +36,7 @@ struct BroadBodies {
 PGCCD_HD bool may_collide(const BroadBodies& bodies, int64_t i, int64_t j) {
   if (bodies.world && bodies.world[i] != bodies.world[j]) return false;
   if (bodies.is_static && bodies.is_static[i] && bodies.is_static[j]) return false;
-  if (bodies.elsewhere && bodies.elsewhere[i] && bodies.elsewhere[j]) return false;
+  if (bodies.in_other_search && bodies.in_other_search[i] && bodies.in_other_search[j]) return false;
   const int64_t all = ~int64_t{0};
   const int64_t group_i = bodies.group ? bodies.group[i] : all, group_j = bodies.group ? bodies.group[j] : all;
   const int64_t mask_i = bodies.mask ? bodies.mask[i] : all, mask_j = bodies.mask ? bodies.mask[j] : all;

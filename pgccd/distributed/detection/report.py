@@ -31,7 +31,7 @@ def tell_owners(found: Share, payload: Columns | None = None) -> Contacts | Coll
         payload: columns of the own bodies (N, ...) that contacts carry; those of ghosts have been sent with them.
     """
     columns = columns_for_owners(found, found.contacts.columns | _payload_of_pairs(found, payload))
-    return _told(found, columns, _is_of_rank=found.held.route.neighbours.comm.size > 1)
+    return _contacts_of(found, columns, _is_of_rank=found.held.route.neighbours.comm.size > 1)
 
 
 def columns_for_owners(found: Share, columns: Columns) -> Columns:
@@ -66,7 +66,7 @@ def earliest_for_all(comm: Comm, found: Share, ids: int | None = None, payload: 
     columns = {name: column[row] for name, column in columns.items()}
     # Floats >= 0 have the same order as their bits.
     order = torch.stack([segment[row], columns["toi"].view(torch.int64), i[row], j[row]], dim=1)
-    earliest = _told(found, first_row(comm, order, columns), _is_earliest=True)
+    earliest = _contacts_of(found, first_row(comm, order, columns), _is_earliest=True)
     assert isinstance(earliest, Contacts)
     return earliest
 
@@ -87,7 +87,7 @@ def _payload_of_pairs(found: Share, payload: Columns | None) -> Columns:
     }
 
 
-def _told(found: Share, columns: Columns, **flags: Any) -> Contacts | CollidingPairs:
+def _contacts_of(found: Share, columns: Columns, **flags: Any) -> Contacts | CollidingPairs:
     """Contacts of their columns and those of `_payload_of_pairs`."""
     of_contacts: dict[str, Any] = {name: column for name, column in columns.items() if not name.startswith(_PAYLOAD)}
     payload = {name.removeprefix(_PAYLOAD): columns[name] for name in columns if name.startswith(_PAYLOAD)}

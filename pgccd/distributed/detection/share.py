@@ -21,8 +21,8 @@ from pgccd.contacts.contacts import CollidingPairs, Contacts
 from pgccd.distributed.comm.exchange import Columns
 from pgccd.distributed.detection.options import PassEstimates, SearchOptions
 from pgccd.distributed.halo.ghosts import Halo
+from pgccd.distributed.halo.halo_sizes import HaloSizes
 from pgccd.distributed.halo.held import Held
-from pgccd.distributed.halo.sizes import HaloSizes
 from pgccd.distributed.halo.vertices import Vertices, vertex_counts
 from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.distributed.partition.rebalancing import Places
@@ -102,7 +102,7 @@ def search_share(
     options: SearchOptions,
     estimates: PassEstimates,
     *,
-    beside: Callable[[Share], T],
+    concurrent_work: Callable[[Share], T],
     sizes: HaloSizes | None = None,
     synchronises: bool = True,
     vertices: Vertices | None = None,
@@ -121,7 +121,7 @@ def search_share(
             bitwise equal to what the owner has. Deforming bodies have those of their vertices besides.
         options: of the detection.
         estimates: of the capacities of passes.
-        beside: given the share, enqueues work that runs concurrently with the search of own pairs.
+        concurrent_work: given the share, enqueues work that runs concurrently with the search of own pairs.
         sizes: capacities of messages, whose unused rows are padding: see `Halo`. By default ranks agree on exact sizes.
         synchronises: False: sizes are given, for a graph. If messages are sent on the stream, nothing synchronises
             then; rows of `own` with id -1, of a negative radius in `bodies`, are padding; the result is incomplete if
@@ -132,7 +132,7 @@ def search_share(
         changed: (N,) uint8: only pairs with a marked body are searched, of this rank or of another. Default: all pairs.
 
     Returns:
-        The share, and the result of `beside`.
+        The share, and the result of `concurrent_work`.
 
     Raises:
         ValueError: if it synchronises: a pose is invalid.
@@ -140,7 +140,13 @@ def search_share(
     Example:
         >>> options, estimates = SearchOptions(), PassEstimates()
         >>> share, _ = search_share(
-        ...     decomposition, own, bodies, lambda ghosts: ghosts, options, estimates, beside=lambda share: None
+        ...     decomposition,
+        ...     own,
+        ...     bodies,
+        ...     lambda ghosts: ghosts,
+        ...     options,
+        ...     estimates,
+        ...     concurrent_work=lambda share: None,
         ... )
         >>> share.contacts
     """
@@ -170,7 +176,7 @@ def search_share(
             discard=discard,
             estimate=estimates.own,
             slack=slack,
-            elsewhere=halo.reach if comm.size > 1 else None,
+            in_other_search=halo.reach if comm.size > 1 else None,
             at_any_times=options.at_any_times,
         )
     own_pairs_found = side.mark()
@@ -180,7 +186,7 @@ def search_share(
     if comm.size == 1:
         alone = halo.sizes(0, [0]) if synchronises else None
         share = Share(held, [own_pass], None, options, halo.overflow, alone)
-        return share, beside(share)
+        return share, concurrent_work(share)
     frame, owner, rank = decomposition.subdomain  # of the neighbours found by the halo
     with side:
         with stage("halo"):
@@ -237,7 +243,7 @@ def search_share(
         with stage("halo"):
             side.wait(own_pairs_found)
             share = Share(held, [own_pass, with_ghosts], ghosts, options, overflow, exact)
-            made = beside(share)
+            made = concurrent_work(share)
     side.join()
     return share, made
 

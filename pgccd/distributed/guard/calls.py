@@ -1,4 +1,4 @@
-"""Public calls that all ranks make in the same order: each is told to the hub, which compares them."""
+"""Public calls that all ranks make in the same order: each is reported to the hub, which compares them."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ _EXIT_CODE = 70
 # Time in an exchange of a call that failed on another rank, after which that rank is at fault; and for the hub to note
 # a failure.
 _STUCK_SECONDS, _NOTED_SECONDS = 1.0, 2.0
-# Calls told in one message.
+# Calls reported in one message.
 _CALLS_A_LINE = 256
 # An error after this fraction of the time-out counts as a time-out, since libraries measure time differently.
 _LATE = 0.9
@@ -109,7 +109,7 @@ class Guard:
         # An exchange longer than the time-out, and how often the hub has answered that no rank was behind in it.
         self._none_behind = -1, 0
         self._broken_since: float | None = None
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
         # Process id of torchrun's agent, because its ranks are not ended when it dies. Other launchers end theirs, and
         # a shell that started ranks in the background may exit.
         self._agent = os.getppid() if "TORCHELASTIC_RUN_ID" in os.environ else None
@@ -307,8 +307,8 @@ class Guard:
                 self._give_up(self._verdict)
 
     def _tell_once(self, problem: str) -> None:
-        if problem not in self._told:
-            self._told.add(problem)
+        if problem not in self._reported:
+            self._reported.add(problem)
             sys.stderr.write(f"pgccd: {problem}\n")
             sys.stderr.flush()
 

@@ -18,9 +18,9 @@ from torch import Tensor
 from pgccd import ops
 from pgccd.distributed.comm.exchange import Route, unpack
 from pgccd.distributed.comm.interface import Pending
+from pgccd.distributed.halo.halo_sizes import HaloSizes
 from pgccd.distributed.halo.held import Held
 from pgccd.distributed.halo.replicas import Replicas, agreed_replicas, find_replicas
-from pgccd.distributed.halo.sizes import HaloSizes
 from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.runtime.attempts import TooSmall, until_it_fits
 from pgccd.runtime.host_copy import HostCopy

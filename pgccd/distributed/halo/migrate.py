@@ -93,42 +93,42 @@ def id_range(comm: Comm, count: int) -> tuple[int, int]:
 
 
 @dataclass(frozen=True)
-class Census:
+class IdChecksum:
     """Number of bodies and an order-independent hash of their ids, which migration must preserve."""
 
     count: int
     ids: int  #: modulo 2^64
 
     @classmethod
-    def of(cls, id: Tensor) -> Census:
-        """The census of one rank's bodies (N,) int64."""
+    def of(cls, id: Tensor) -> IdChecksum:
+        """The checksum of one rank's bodies (N,) int64."""
         return cls(len(id), row_hash([id]))
 
     @classmethod
-    def of_range(cls, comm: Comm, count: int) -> Census:
-        """The census of the ids 0 to count - 1, computed by all ranks."""
+    def of_range(cls, comm: Comm, count: int) -> IdChecksum:
+        """The checksum of the ids 0 to count - 1, computed by all ranks."""
         first, end = id_range(comm, count)
         begins = range(first, end, _BLOCK)
         return cls.total([cls.of(torch.arange(begin, min(end, begin + _BLOCK))) for begin in begins])._of_all(comm)
 
     @classmethod
-    def of_ranks(cls, comm: Comm, id: Tensor) -> Census:
-        """The census of all ranks' bodies, of which this rank has `id` (N,) int64."""
+    def of_ranks(cls, comm: Comm, id: Tensor) -> IdChecksum:
+        """The checksum of all ranks' bodies, of which this rank has `id` (N,) int64."""
         return cls.of(id)._of_all(comm)
 
-    def _of_all(self, comm: Comm) -> Census:
-        """The sum of this census over the ranks."""
+    def _of_all(self, comm: Comm) -> IdChecksum:
+        """The sum of this checksum over the ranks."""
         signed = self.ids - 2**64 if self.ids >= 2**63 else self.ids
         count, ids = comm.sum(torch.tensor([self.count, signed])).tolist()  # modulo 2^64
-        return Census(count, ids % 2**64)
+        return IdChecksum(count, ids % 2**64)
 
     @classmethod
-    def total(cls, parts: list[Census]) -> Census:
+    def total(cls, parts: list[IdChecksum]) -> IdChecksum:
         """The sum of several parts."""
         return cls(sum(part.count for part in parts), sum(part.ids for part in parts) % 2**64)
 
-    def require(self, expected: Census) -> None:
-        """Raises RuntimeError unless this census equals the expected one, with no body lost or duplicated."""
+    def require(self, expected: IdChecksum) -> None:
+        """Raises RuntimeError unless this checksum equals the expected one, with no body lost or duplicated."""
         if self != expected:
             raise RuntimeError(
                 f"migration: expected {expected.count} bodies with id hash {expected.ids:016x}, "

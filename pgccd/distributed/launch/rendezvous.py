@@ -144,7 +144,7 @@ def _meet_by_srun(placement: Placement, timeout: float) -> Meeting:
             return Meeting(agree_on_start(store, placement, timeout), host, is_loopback(host), at)
     hosts = [host] if host else [first_host(_variable("SLURM_STEP_NODELIST")), *outer_addresses()]
     kept = connect_store(hosts[0], 0, placement, timeout, keeps=True)
-    with file.told(hosts, kept.port):
+    with file.published(hosts, kept.port):
         store = agree_on_start(kept, placement, timeout)
     return Meeting(store, hosts[0], is_loopback(hosts[0]), f"{hosts[0]}, port {kept.port}")
 
@@ -160,7 +160,7 @@ class _AddressFile:
         self._name = name
 
     @contextmanager
-    def told(self, hosts: Sequence[str], port: int) -> Iterator[None]:
+    def published(self, hosts: Sequence[str], port: int) -> Iterator[None]:
         """Rank 0: a context in which the file exists.
 
         Raises:

@@ -12,7 +12,7 @@ from pgccd.distributed.comm.exchange import Columns
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.detection.options import PassEstimates, SearchOptions
 from pgccd.distributed.detection.share import Complete, Share, search_share
-from pgccd.distributed.halo.sizes import HaloSizes
+from pgccd.distributed.halo.halo_sizes import HaloSizes
 from pgccd.distributed.halo.vertices import Vertices
 from pgccd.distributed.partition.balance import BalanceOptions, RankLoads
 from pgccd.distributed.partition.decomposition import Decomposition
@@ -56,7 +56,7 @@ class Rank:
         complete: Complete,
         options: SearchOptions,
         clock: StageClock,
-        beside: Callable[[Share], T],
+        concurrent_work: Callable[[Share], T],
         vertices: Vertices | None = None,
     ) -> tuple[Share, T]:
         """`search_share`, with capacities from the last step where these let a GPU send ghosts without waiting for the
@@ -72,7 +72,7 @@ class Rank:
             complete,
             options,
             self.estimates,
-            beside=beside,
+            concurrent_work=concurrent_work,
             sizes=sizes,
             vertices=vertices,
             clock=clock,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from typing import Any, Protocol, TypeVar
 
-from pgccd.distributed.halo.sizes import HaloSizes
+from pgccd.distributed.halo.halo_sizes import HaloSizes
 from pgccd.distributed.partition.balance import RankLoads
 from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.distributed.steps.rank import Rank

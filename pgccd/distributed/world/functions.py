@@ -10,7 +10,7 @@ from torch import Tensor
 
 from pgccd import arguments
 from pgccd.distributed.comm.exchange import Columns
-from pgccd.geometry.columns import bool_column
+from pgccd.geometry.scene_columns import bool_column
 from pgccd.motion.paths import RigidMotion
 
 

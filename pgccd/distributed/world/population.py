@@ -14,7 +14,7 @@ from pgccd.distributed.detection.ids import rows_of
 from pgccd.distributed.guard import of_all_ranks
 from pgccd.distributed.halo.vertices import Vertices
 from pgccd.distributed.launch.agreement import require_agreement, together
-from pgccd.distributed.world.columns import from_all_ranks, require_ids, require_positions, unknown_ids
+from pgccd.distributed.world.input_checks import from_all_ranks, require_ids, require_positions, unknown_ids
 from pgccd.distributed.world.options import NewBodies, require_known
 from pgccd.distributed.world.state import WorldState, bodies_given
 

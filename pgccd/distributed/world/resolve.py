@@ -28,7 +28,7 @@ from pgccd.distributed.halo.held import Held
 from pgccd.distributed.halo.vertices import Vertices, vertex_counts
 from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.distributed.steps.rank import Rank
-from pgccd.distributed.world.columns import columns_to_send
+from pgccd.distributed.world.input_checks import columns_to_send
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.resolution.listed import ListedSearch, is_short
@@ -148,7 +148,7 @@ class _Step(Generic[M]):
             lambda ghosts: ghosts,
             options,
             estimates,
-            beside=lambda _: None,
+            concurrent_work=lambda _: None,
             vertices=vertices_of(motion, self.scene),
             clock=self.clock,
             changed=changed,
@@ -199,8 +199,8 @@ class _SentAnew:
         found = share.contacts
         assert isinstance(found, Contacts)
         counts = torch.stack([search_pass.counts() for search_pass in share.passes]).sum(dim=0)
-        told = columns_for_owners(share, {"pairs": found.pairs, "toi": found.toi})
-        return [_of_own(step.whole, told)], counts
+        received = columns_for_owners(share, {"pairs": found.pairs, "toi": found.toi})
+        return [_of_own(step.whole, received)], counts
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,7 +290,7 @@ def resolve_step(
 
 
 def _first_contacts(whole: Share) -> Found:
-    """The contacts of the own bodies in the whole step, told to this rank."""
+    """The contacts of the own bodies in the whole step, received from all ranks."""
     contacts = whole.contacts
     assert isinstance(contacts, Contacts)
     return _of_own(whole, columns_for_owners(whole, {"pairs": contacts.pairs, "toi": contacts.toi}))

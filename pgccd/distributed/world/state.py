@@ -21,7 +21,7 @@ from pgccd.distributed.launch.agreement import require_agreement, together
 from pgccd.distributed.partition.balance import BalanceOptions
 from pgccd.distributed.partition.cut import Cut
 from pgccd.distributed.partition.interface import Partition
-from pgccd.distributed.world.columns import (
+from pgccd.distributed.world.input_checks import (
     LARGEST_ID,
     from_all_ranks,
     ids_given,
@@ -32,10 +32,10 @@ from pgccd.distributed.world.columns import (
     unknown_ids,
 )
 from pgccd.distributed.world.options import NewBodies
-from pgccd.geometry.columns import pairs_never_tested
 from pgccd.geometry.digest import meshes_digest
 from pgccd.geometry.mesh import Mesh, MeshSet
 from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
+from pgccd.geometry.scene_columns import pairs_never_tested
 from pgccd.motion.paths import PATHS
 
 

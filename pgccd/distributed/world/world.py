@@ -24,7 +24,7 @@ from pgccd.distributed.detection.report import earliest_for_all, tell_owners
 from pgccd.distributed.detection.segments import Segments
 from pgccd.distributed.detection.share import Share
 from pgccd.distributed.guard import collective
-from pgccd.distributed.halo.migrate import Census, migrate
+from pgccd.distributed.halo.migrate import IdChecksum, migrate
 from pgccd.distributed.halo.vertices import Vertices
 from pgccd.distributed.launch.agreement import agree_on_step, together
 from pgccd.distributed.partition.balance import PAIR_COST, BalanceOptions, RankLoads
@@ -32,8 +32,7 @@ from pgccd.distributed.partition.cut import DEFAULT_AXES, DEFAULT_CELLS, Cut
 from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.distributed.partition.interface import Partition, Point, Triple
 from pgccd.distributed.steps.rank import Rank
-from pgccd.distributed.world.checkpoint import load_state, save_state
-from pgccd.distributed.world.columns import (
+from pgccd.distributed.world.input_checks import (
     columns_to_send,
     motion_facts,
     new_values,
@@ -54,9 +53,10 @@ from pgccd.distributed.world.resolve import (
     vertices_of,
 )
 from pgccd.distributed.world.state import WorldState, agreed_partition, require_alike, state_given
-from pgccd.geometry.columns import bool_column
+from pgccd.distributed.world.world_checkpoint import load_state, save_state
 from pgccd.geometry.mesh import Mesh
 from pgccd.geometry.scene import Scene
+from pgccd.geometry.scene_columns import bool_column
 from pgccd.motion.paths import PathKind, RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
 from pgccd.resolution.listed import are_near, is_on_arcs, travels_of
@@ -80,7 +80,7 @@ class World(OwnBodies):
         comm: between the ranks.
         options: of the detection.
         path: of the motions of rigid bodies: "rigid" or "linear", as of `RigidMotion`.
-        census: number and sum of the ids of all bodies, which migration preserves.
+        id_checksum: number of all bodies, and a hash of their ids, which migration preserves.
         columns: of this rank's own bodies, by name; names of the payload begin with ".".
         steps_made: number of calls of `step` and `collide`. A loop that searches a step several times has to count its
             own steps.
@@ -104,12 +104,12 @@ class World(OwnBodies):
         balance: BalanceOptions,
         path: PathKind,
         state: WorldState,
-        census: Census,
+        checksum: IdChecksum,
     ) -> None:
         self.comm, self.path = comm, path
         self.options = replace(options, excluded=Excluded.of(state.exclude))
         self._rank = Rank(Decomposition(comm, state.partition), balance)
-        self._meshes, self._cut, self.census = state.meshes, state.cut, census
+        self._meshes, self._cut, self.id_checksum = state.meshes, state.cut, checksum
         self.found: Share | None = None
         self.steps_made, self._seconds = state.steps_made, 0.0
         self.columns, self._vertices, self.next_id = state.columns, state.vertices, state.next_id
@@ -197,7 +197,7 @@ class World(OwnBodies):
         vertices = None if state.vertices is None else state.vertices.take(ascending)
         state = replace(state, columns=take_rows(state.columns, ascending), vertices=vertices)
         world = cls.__new__(cls)
-        world._set(comm, options, balance, path, state, Census.of_ranks(comm, state.columns["id"]))
+        world._set(comm, options, balance, path, state, IdChecksum.of_ranks(comm, state.columns["id"]))
         world._change_hands()
         return world
 
@@ -483,7 +483,7 @@ class World(OwnBodies):
             lambda ghosts: ghosts,
             options,
             clock,
-            beside=lambda _: None,
+            concurrent_work=lambda _: None,
             vertices=vertices_of(motion, scene),
         )
         clock.add(search_seconds(share.contacts.stats))
@@ -562,7 +562,7 @@ class World(OwnBodies):
         if state.exclude is not self.exclude:
             self.options = replace(self.options, excluded=Excluded.of(state.exclude))
         self._scene = None
-        self.census = Census.of_ranks(self.comm, self.id)
+        self.id_checksum = IdChecksum.of_ranks(self.comm, self.id)
         self._migrate()
 
     @collective
@@ -585,4 +585,4 @@ class World(OwnBodies):
     def _migrate(self) -> None:
         after = migrate(self._rank.decomposition, self.columns, self.position, self._vertices)
         self.columns, self._vertices = after.columns, after.vertices
-        Census.of_ranks(self.comm, self.id).require(self.census)
+        IdChecksum.of_ranks(self.comm, self.id).require(self.id_checksum)

@@ -23,9 +23,9 @@ from pgccd.distributed.checkpoint.partition import load_partition
 from pgccd.distributed.checkpoint.shared_folder import sees_mark
 from pgccd.distributed.partition.cut import PARTITIONS, make_partition
 from pgccd.sim import RankOptions, Simulation, resume, run, runner
-from pgccd.sim.checkpoint import require_checkpoint
 from pgccd.sim.pictures import write_pictures
 from pgccd.sim.response import respond
+from pgccd.sim.run_checkpoint import require_checkpoint
 from pgccd.sim.runner import load_robots
 
 CONFIG = sim.ModelConfig(robots=240, pattern="skewed", speed=0.25, seed=5)

@@ -13,7 +13,7 @@ from support.ranks import World
 from pgccd.distributed import Cells, Comm
 from pgccd.distributed.comm.exchange import Columns, make_route, pack, replace_rows, unpack
 from pgccd.distributed.comm.torch_comm import TorchComm
-from pgccd.distributed.halo.migrate import Census, migrate
+from pgccd.distributed.halo.migrate import IdChecksum, migrate
 from pgccd.distributed.partition.decomposition import Decomposition
 
 
@@ -158,12 +158,12 @@ def test_reductions(world: World) -> None:
 
 
 def test_the_census_sees_lost_doubled_and_exchanged_bodies() -> None:
-    all_ids = Census.of(torch.arange(10))
-    parts = [Census.of(torch.tensor([0, 2, 4, 6, 8])), Census.of(torch.tensor([9, 7, 5, 3, 1]))]
-    Census.total(parts).require(all_ids)
+    all_ids = IdChecksum.of(torch.arange(10))
+    parts = [IdChecksum.of(torch.tensor([0, 2, 4, 6, 8])), IdChecksum.of(torch.tensor([9, 7, 5, 3, 1]))]
+    IdChecksum.total(parts).require(all_ids)
     for wrong in ([0, 2, 4, 6], [0, 2, 4, 6, 8, 8], [0, 2, 4, 6, 6]):
         with pytest.raises(RuntimeError, match="migration: expected 10 bodies"):
-            Census.total([Census.of(torch.tensor(wrong)), parts[1]]).require(all_ids)
+            IdChecksum.total([IdChecksum.of(torch.tensor(wrong)), parts[1]]).require(all_ids)
 
 
 class Graph:

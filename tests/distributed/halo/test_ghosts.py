@@ -79,7 +79,7 @@ def test_bad_poses_and_separations_are_named() -> None:
     def search(options: SearchOptions) -> Share:
         bodies = pgccd.MovingBodies.of(model.scene(state.id), model.motion(state), wait=False)
         asked = decomposition, {"id": state.id}, bodies, lambda ghosts: ghosts, options, PassEstimates()
-        return search_share(*asked, beside=lambda share: None)[0]
+        return search_share(*asked, concurrent_work=lambda share: None)[0]
 
     with pytest.raises(ValueError, match="^min_separation: "):
         search(SearchOptions(min_separation=-1.0))

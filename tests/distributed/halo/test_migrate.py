@@ -15,7 +15,7 @@ from pgccd import sim
 from pgccd.distributed import Alone, Cells, World
 from pgccd.distributed.comm.exchange import Columns, take_rows
 from pgccd.distributed.halo import migrate
-from pgccd.distributed.halo.migrate import Census
+from pgccd.distributed.halo.migrate import IdChecksum
 from pgccd.distributed.world import world as world_module
 from pgccd.sim import Simulation, starting_share
 
@@ -57,8 +57,8 @@ def test_a_world_notices(monkeypatch: pytest.MonkeyPatch, fault: str) -> None:
 
 
 def test_a_count_is_not_enough_and_neither_is_a_hash() -> None:
-    expected = Census.of(EVERY)
-    for wrong in (Census(expected.count, expected.ids + 1), Census(expected.count + 1, expected.ids)):
+    expected = IdChecksum.of(EVERY)
+    for wrong in (IdChecksum(expected.count, expected.ids + 1), IdChecksum(expected.count + 1, expected.ids)):
         with pytest.raises(RuntimeError, match=f"expected {COUNT} bodies"):
             wrong.require(expected)
 

@@ -15,10 +15,10 @@ from distributed.detection.test_share import CONFIG, STEPS, by_one_process, with
 from pgccd import sim
 from pgccd.distributed import Cells, Comm
 from pgccd.distributed.comm.neighbourhood import Neighbourhood
-from pgccd.distributed.halo import sizes as halo_sizes
+from pgccd.distributed.halo import halo_sizes
 from pgccd.distributed.halo.ghosts import Halo
+from pgccd.distributed.halo.halo_sizes import HaloSizes
 from pgccd.distributed.halo.held import Held
-from pgccd.distributed.halo.sizes import HaloSizes
 from pgccd.distributed.steps import rank
 from pgccd.sim import Simulation, starting_share
 

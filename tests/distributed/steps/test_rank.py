@@ -17,7 +17,7 @@ from support.steps import step_of
 
 from pgccd import sim
 from pgccd.distributed import BalanceOptions, Bisection, Cells, Comm
-from pgccd.distributed.halo import sizes as halo_sizes
+from pgccd.distributed.halo import halo_sizes
 from pgccd.distributed.partition.cut import make_partition
 from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.distributed.steps import replayed as rank_steps

@@ -27,7 +27,7 @@ from pgccd.distributed import (
 )
 from pgccd.distributed.comm.interface import Alone
 from pgccd.distributed.detection import share
-from pgccd.distributed.halo import sizes as halo_sizes
+from pgccd.distributed.halo import halo_sizes
 from pgccd.distributed.partition import rebalancing
 from pgccd.distributed.partition.balance import BackOff, RankLoads
 from pgccd.distributed.steps import replayed as rank_steps

@@ -21,7 +21,7 @@ from distributed.world.test_captured import motion, plain_loop, response, spread
 from pgccd.distributed import Bodies, CapturedWorld, Comm
 from pgccd.distributed.comm.interface import Alone
 from pgccd.distributed.detection.share import search_share
-from pgccd.distributed.world import graphs as captured_world
+from pgccd.distributed.world import world_graphs as captured_world
 from pgccd.runtime.sizes import COUNT_ROWS, overflow_flags
 
 STEPS, LOST = 12, 6

@@ -16,9 +16,9 @@ import pgccd
 from distributed.world.test_captured import meshes
 from pgccd.distributed import BalanceOptions, Bodies, CapturedWorld, Comm, World, WorldStep
 from pgccd.distributed.comm.interface import Alone
-from pgccd.distributed.halo import sizes as halo_sizes
+from pgccd.distributed.halo import halo_sizes
 from pgccd.distributed.steps import replayed as rank_steps
-from pgccd.distributed.world import graphs
+from pgccd.distributed.world import world_graphs
 from pgccd.resolution.counts import SearchCounts
 from pgccd.resolution.round_plan import RecentRounds
 
@@ -192,7 +192,7 @@ def lose_contacts(comm: Comm, device: str) -> tuple[list[bool], bool]:
         return response(bodies, shortened, fraction)
 
     with graphs_on(device) as stack:
-        stack.enter_context(mock.patch.object(graphs, "SearchCounts", Losing))
+        stack.enter_context(mock.patch.object(world_graphs, "SearchCounts", Losing))
         world = spread(comm, torch.device(device), "report")
         steps = CapturedWorld(world, noted, answer, True, resolve=True, movable=movable).run(STEPS)
         require_columns(world, expected)

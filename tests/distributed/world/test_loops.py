@@ -17,7 +17,7 @@ from support.ranks import RankPool, to_all
 
 from pgccd import distributed
 from pgccd.distributed import Alone, Comm
-from pgccd.distributed.world import captured as captured_world
+from pgccd.distributed.world import loop as captured_world
 
 PAGE = ROOT / "docs" / "how-to" / "cluster.md"
 EXAMPLES = [ROOT / "examples" / "04_many_ranks.py", ROOT / "examples" / "08_impulses.py"]

@@ -23,7 +23,7 @@ from distributed.world.test_payload import columns_of, moving
 from pgccd.distributed import Alone, BalanceOptions, CapturedWorld, CheckpointError, Comm, World
 from pgccd.distributed.comm.exchange import take_rows
 from pgccd.distributed.halo.vertices import Vertices, vertex_counts
-from pgccd.distributed.world.columns import LARGEST_ID
+from pgccd.distributed.world.input_checks import LARGEST_ID
 
 CROWD = "kept apart, filtered"
 EAGER = BalanceOptions("cost", start=0.0, goal=0.0, moving=0.0, deciding=0.0)
@@ -93,7 +93,7 @@ def same(world: World, other: World, numbers: Tensor) -> int:
         free = torch.isinf(each.first_toi(hits))[:, None]
         each.move(motion.position_t1, velocity=torch.where(free, 1.0, -1.0) * each.payload["velocity"])
         found.append(
-            (names, before, contacts, each.census.count, everything(each, [each.payload["tag"], each.position]))
+            (names, before, contacts, each.id_checksum.count, everything(each, [each.payload["tag"], each.position]))
         )
     assert found[0] == found[1]
     return len(found[0][2])
@@ -127,7 +127,7 @@ def join_and_leave(comm: Comm) -> list[int]:
     assert 20 < len(there) < 55 and not {0, 59, 30} & set(there.tolist())
     # All leave; then they come again, with new ids.
     world.remove(torch.cat([there, there.flip(0)]) if comm.rank == 0 else there[:0])
-    assert world.census.count == 0 and len(world.step(moving(world))) == 0 and world.next_id == 60
+    assert world.id_checksum.count == 0 and len(world.step(moving(world))) == 0 and world.next_id == 60
     rows = torch.arange(60 if comm.rank == 0 else 0)
     id = world.add(**bodies(rows, (*GIVEN[1], *GIVEN[2])))
     assert torch.equal(id, 60 + rows) and world.next_id == 120
@@ -414,7 +414,7 @@ def double(comm: Comm, vertices: bool) -> str:
         ("vertex_payload", {"x": MESH.vertices.repeat(2, 1) + comm.rank}),
     ):
         world = World.create([MESH], (0.0,) * 3, (9.0,) * 3, 3.0 * torch.eye(3)[:2], **{name: change}, comm=comm)
-        assert world.census.count == 2 * comm.size
+        assert world.id_checksum.count == 2 * comm.size
     return str(caught.value)
 
 
@@ -427,4 +427,4 @@ def test_all_bodies_on_every_rank_are_refused(ranks: RankPool, vertices: bool) -
 def test_one_rank_may_pass_the_same_twice() -> None:
     world = World.create([MESH], (0.0,) * 3, (9.0,) * 3, torch.zeros(2, 3))
     assert world.add(torch.zeros(2, 3)).tolist() == [2, 3] and world.add(torch.zeros(0, 3)).tolist() == []
-    assert Alone().size == 1 and world.census.count == 4
+    assert Alone().size == 1 and world.id_checksum.count == 4

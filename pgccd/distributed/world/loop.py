@@ -12,13 +12,12 @@ from pgccd.contacts.contacts import Contacts
 from pgccd.distributed.comm.exchange import Columns, first_row
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.guard import collective
-from pgccd.distributed.halo.sizes import HaloSizes
+from pgccd.distributed.halo.halo_sizes import HaloSizes
 from pgccd.distributed.launch.agreement import agree_on_step, require_agreement
 from pgccd.distributed.launch.code import code_of
 from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.distributed.steps.rank import can_replay
 from pgccd.distributed.steps.replayed import RankSteps
-from pgccd.distributed.world.columns import motion_facts
 from pgccd.distributed.world.functions import (
     Bodies,
     Motion,
@@ -31,8 +30,9 @@ from pgccd.distributed.world.functions import (
     tallied,
     with_position,
 )
-from pgccd.distributed.world.graphs import Committed, ResolvingGraph, WorldGraph, WorldStep
+from pgccd.distributed.world.input_checks import motion_facts
 from pgccd.distributed.world.world import World
+from pgccd.distributed.world.world_graphs import Committed, ResolvingGraph, WorldGraph, WorldStep
 from pgccd.motion.paths import RigidMotion
 from pgccd.resolution.round_plan import RecentRounds
 from pgccd.runtime.sizes import COUNT_ROWS
@@ -205,7 +205,7 @@ class CapturedWorld(RankSteps[WorldStep, Committed, "WorldGraph"]):
             if not (world._resolution_plan.lists and world.found.options.at_any_times):
                 return None
         # Without bodies there is none whose columns could be padding.
-        return super()._try_to_capture(index) if world.census.count else None
+        return super()._try_to_capture(index) if world.id_checksum.count else None
 
     def _graph_of(self, index: int, decomposition: Decomposition, sizes: HaloSizes, rows: int) -> WorldGraph:
         world = self._world

@@ -23,7 +23,7 @@ from support.checkpoint_faults import Runs, changes_by_chance, files_of, newest,
 from pgccd import sim
 from pgccd.checkpoint import files as module
 from pgccd.checkpoint.files import FOLDER, POINTER
-from pgccd.sim.checkpoint import KIND, ROBOTS, Header, find_checkpoint
+from pgccd.sim.run_checkpoint import KIND, ROBOTS, Header, find_checkpoint
 from pgccd.sim.run_folder import mesh_files
 
 CONFIG = sim.ModelConfig(robots=30, pattern="skewed", seed=3)

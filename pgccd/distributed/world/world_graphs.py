@@ -17,11 +17,10 @@ from pgccd.distributed.comm.peer_memory import RowsOfRanks
 from pgccd.distributed.detection.held_exchange import HeldExchange
 from pgccd.distributed.detection.options import SearchOptions
 from pgccd.distributed.detection.share import Share, search_share
+from pgccd.distributed.halo.halo_sizes import HaloSizes
 from pgccd.distributed.halo.migrate import count_leaving
-from pgccd.distributed.halo.sizes import HaloSizes
 from pgccd.distributed.partition.balance import RankLoads
 from pgccd.distributed.partition.decomposition import Decomposition
-from pgccd.distributed.world.columns import columns_to_send, scene_of
 from pgccd.distributed.world.functions import (
     Bodies,
     Motion,
@@ -33,6 +32,7 @@ from pgccd.distributed.world.functions import (
     tallied,
     with_position,
 )
+from pgccd.distributed.world.input_checks import columns_to_send, scene_of
 from pgccd.distributed.world.resolve import listed_search, options_of_resolution
 from pgccd.distributed.world.world import World
 from pgccd.motion.paths import RigidMotion
@@ -171,7 +171,7 @@ class WorldGraph(TransactionGraph[Committed]):
         return _Answer(share, motion, first, incomplete, incomplete[:0], counts)
 
     def _search(
-        self, moving: MovingBodies, marks: Columns, options: SearchOptions, beside: Callable[[Share], T]
+        self, moving: MovingBodies, marks: Columns, options: SearchOptions, concurrent_work: Callable[[Share], T]
     ) -> tuple[Share, T]:
         """`search_share` in the graph's capacities; `marks` (N, ...) are sent with ghosts."""
         return search_share(
@@ -181,7 +181,7 @@ class WorldGraph(TransactionGraph[Committed]):
             lambda ghosts: ghosts,
             options,
             self._world._rank.estimates,
-            beside=beside,
+            concurrent_work=concurrent_work,
             sizes=self._sizes,
             synchronises=False,
             discard=self._failed,
@@ -227,12 +227,12 @@ class ResolvingGraph(WorldGraph):
         fixed = fixed_of(self._movable, bodies)
         marks = {} if fixed is None else {"fixed": fixed}
 
-        def beside(share: Share) -> HeldExchange:
+        def start_exchange(share: Share) -> HeldExchange:
             exchange = HeldExchange.start(share, self._decomposition, self._sizes.common, comm.peer_messages)
             share.passes[-1].first_contacts()
             return exchange
 
-        share, exchange = self._search(moving.stoppable(), marks, options, beside)
+        share, exchange = self._search(moving.stoppable(), marks, options, start_exchange)
         if fixed is not None and share.ghosts is not None:
             fixed = torch.cat([fixed, share.held.ghosts["fixed"]])
         rounds = listed_search(share, lists_contacts=options.query.tests_start)

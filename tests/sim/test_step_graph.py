@@ -21,7 +21,7 @@ from pgccd.runtime.sizes import BufferSizes
 from pgccd.search import detect as pipeline
 from pgccd.sim import CommittedStep, Model, ModelConfig, RobotState, Simulation, Step
 from pgccd.sim import simulation as simulation_module
-from pgccd.sim.captured import StepGraph
+from pgccd.sim.step_graph import StepGraph
 
 FAST: dict[str, Any] = {"robots": 150, "speed": 0.3, "spin": 0.5, "seed": 3}
 STEPS = 40

@@ -7,7 +7,7 @@ from collections import Counter
 import torch
 
 from pgccd.sim import robot_mesh
-from pgccd.sim.robot import FACE_COUNT, VERTEX_COUNT
+from pgccd.sim.nanorobot import FACE_COUNT, VERTEX_COUNT
 
 
 def test_has_the_size_of_the_paper() -> None:
