@@ -326,7 +326,14 @@ def calls(folder: Path) -> dict[str, Call]:
         ),
         "distributed.CapturedWorld": Call(
             distributed.CapturedWorld,
-            {"world": world, "motion": motion_of, "response": response_of, "resolve": True, "movable": len, "tally": len},
+            {
+                "world": world,
+                "motion": motion_of,
+                "response": response_of,
+                "resolve": True,
+                "movable": len,
+                "tally": len,
+            },
             {"resolve": ("movable",)},
         ),
         "distributed.World.first_toi": Call(world.first_toi, {"hits": hits}),

@@ -8,11 +8,11 @@ BODIES = "pgccd/search/bodies.py"
 LISTED = "pgccd/resolution/listed.py"
 ITEM = "csrc/kernels/resolve/pair_motion_item.h"
 RESOLVE = "pgccd/distributed/world/resolve.py"
-GRAPHS = "pgccd/distributed/world/graphs.py"
+GRAPHS = "pgccd/distributed/world/world_graphs.py"
 ON_LISTED = ("resolution/test_listed.py",)
-ON_RESOLVE = ("distributed/test_resolve.py",)
-ON_INCOMPLETE = ("distributed/test_captured_world_incomplete.py",)
-ON_GRAPHS = ("distributed/test_captured_resolving.py",)
+ON_RESOLVE = ("distributed/world/test_resolve.py",)
+ON_INCOMPLETE = ("distributed/world/test_captured_incomplete.py",)
+ON_GRAPHS = ("distributed/world/test_captured_resolving.py",)
 
 
 def _mutant(name: str, file: str, old: str, new: str, within: str = "") -> Mutant:
@@ -27,12 +27,8 @@ MUTANTS = [
     _mutant(
         "rounds-stopped-at-the-start", BODIES, "torch.maximum(start.abs(), end.abs()).amax(1)", "start.abs().amax(1)"
     ),
-    _mutant(
-        "rounds-boxes-of-bodies-off-centre",
-        BODIES,
-        "self.boxes if self.scene.meshes.is_centred else None",
-        "self.boxes",
-    ),
+    _mutant("rounds-boxes-of-stopped-bodies", BODIES, "growth + stray / unit", "growth + 0.999 * stray / unit"),
+    _mutant("rounds-list-however-far", LISTED, "travel <= _FARTHEST * reach", "travel >= 0.0"),
     _mutant("rounds-first-part-of-the-list", LISTED, "pairs.tensor_split(pieces)", "pairs.tensor_split(pieces)[:1]"),
     _mutant(
         "rounds-list-of-too-few-pairs",

@@ -18,7 +18,9 @@ from pgccd.distributed import BalanceOptions, Bodies, CapturedWorld, Comm, World
 from pgccd.distributed.comm.interface import Alone
 from pgccd.distributed.halo import halo_sizes
 from pgccd.distributed.steps import replayed as rank_steps
+from pgccd.distributed.world import resolve as resolve_module
 from pgccd.distributed.world import world_graphs
+from pgccd.resolution import listed
 from pgccd.resolution.counts import SearchCounts
 from pgccd.resolution.round_plan import RecentRounds
 
@@ -223,8 +225,17 @@ def test_more_rounds_than_were_captured(device: torch.device) -> None:
     assert any(step.replayed for step in steps)
 
 
-def test_far_paths_run_eagerly() -> None:
-    """Where far more pairs may meet at any two times than at equal times there is no graph."""
+@pytest.mark.parametrize("farthest", [6.0, 1e9])
+def test_far_paths_run_eagerly(farthest: float) -> None:
+    """Where far more pairs may meet at any two times than at equal times there is no graph: no list is made where
+    bodies move far, and a long one is not made again.
+    """
+    lists: list[int] = []
+    list_pairs = resolve_module.pairs_of_rounds
+
+    def noted(passes: Any) -> Tensor:
+        lists.append(len(passes))
+        return list_pairs(passes)
 
     def far(bodies: Bodies) -> pgccd.RigidMotion:
         at = bodies.payload
@@ -233,13 +244,16 @@ def test_far_paths_run_eagerly() -> None:
     def back(bodies: Bodies, _: pgccd.RigidMotion, fraction: Tensor) -> dict[str, Tensor]:
         return {"position": bodies.position, "made": bodies.payload["made"] + fraction}
 
-    with graphs_on("cpu"):
+    with graphs_on("cpu") as stack:
+        stack.enter_context(mock.patch.object(listed, "_FARTHEST", farthest))
+        stack.enter_context(mock.patch.object(resolve_module, "pairs_of_rounds", noted))
         world = spread(Alone(), torch.device("cpu"), "report")
         once = pgccd.resolve(
             scene_alone(), far(Bodies(world.id, world.position, world.mesh_index, world.payload, world.id))
         )
         loop = CapturedWorld(world, far, back, True, resolve=True)
         assert not any(step.replayed for step in loop.run(8)) and not loop.is_graph
+        assert len(lists) == (1 if farthest > 6.0 else 0)
         assert torch.equal(world.payload["made"], sum([once.fraction] * 8, torch.zeros(COUNT, dtype=torch.float64)))
 
 
