@@ -70,8 +70,12 @@ struct ResolveOps {
     Tensor radius = new_tensor<double>(fraction, {2 * capacity}), position_t0 = column(3), position_t1 = column(3);
     Tensor orientation = column(4), rotation = column(3);
     std::vector<Tensor> bodies{mesh_index, position_t0, position_t1, radius, orientation, rotation};
-    given.motion = {data<int32_t>(mesh_index), data<double>(position_t0), data<double>(position_t1),
-                    data<double>(radius),      data<double>(orientation), data<double>(rotation),
+    given.motion = {data<int32_t>(mesh_index),
+                    data<double>(position_t0),
+                    data<double>(position_t1),
+                    data<double>(radius),
+                    data<double>(orientation),
+                    data<double>(rotation),
                     nullptr};
     if (given.own.centres.margin != nullptr) {
       bodies.push_back(new_tensor<double>(fraction, {2 * capacity}));

@@ -50,7 +50,8 @@ struct ChangedPairs {
 
 namespace pair_motion_detail {
 
-// The point at a fraction of a straight path: exactly its ends at 0 and 1. `start` may be at rest before an invalid end.
+// The point at a fraction of a straight path: exactly its ends at 0 and 1. `start` may be at rest before an invalid
+// end.
 PGCCD_HD double point_on_path(double fraction, double start, double end) {
   if (fraction == 1.0) return end;
   return fraction == 0.0 ? start : start + fraction * (end - start);

@@ -9,8 +9,8 @@ struct FoundPairs {
   uint32_t blocks_done;
 };
 
-// About one in ten pairs has a body that has changed, with a hundred bytes to read and write each: a block first collects
-// these from many pairs, so that all its threads have work.
+// About one in ten pairs has a body that has changed, with a hundred bytes to read and write each: a block first
+// collects these from many pairs, so that all its threads have work.
 constexpr int kTilePairs = 8 * kBlockThreads;
 
 __global__ void __launch_bounds__(kBlockThreads) shortened_pairs_kernel(ShortenedPairs given, FoundPairs* found) {
