@@ -11,7 +11,7 @@ import warnings
 import torch
 from distributed.comm import test_exchange
 from distributed.steps import test_rank
-from distributed.world import test_captured, test_captured_resolving, test_loops, test_motions, test_world
+from distributed.world import test_captured_resolving, test_loop, test_loops, test_motions, test_world
 
 from pgccd.distributed import Alone, Comm, choose_device, connect
 from support.crowds import crowds
@@ -29,7 +29,7 @@ def test_scenes(comm: Comm, device: torch.device) -> None:
         test_motions.deform(comm, report, device)
         test_motions.follow(comm, report, False, device)
     for partition in ("cells", "bisection"):
-        assert test_captured.follow(comm, "cost", partition, True, str(device), False)["replayed"] > 6
+        assert test_loop.follow(comm, "cost", partition, True, str(device), False)["replayed"] > 6
     for initial in ("report", "assume_free"):
         assert test_captured_resolving.follow(comm, initial, True, str(device))["replayed"] > 6
     with tempfile.TemporaryDirectory() as folder:

@@ -15,7 +15,7 @@ from support.ranks import RankPool
 from torch import Tensor
 
 from distributed.steps import test_rank
-from distributed.world import test_captured, test_captured_resolving
+from distributed.world import test_captured_resolving, test_loop
 from pgccd import ops
 from pgccd.distributed import Comm
 from pgccd.distributed.comm import peer_memory
@@ -192,7 +192,7 @@ def follow_simulation(comm: Comm, neighbours_above: int) -> int:
 
 def follow_world(comm: Comm) -> int:
     comm.peer_messages = messages = OverConnection(comm)
-    seen = test_captured.follow(comm, "cost", "bisection", True, "cpu", False)
+    seen = test_loop.follow(comm, "cost", "bisection", True, "cpu", False)
     assert seen["replayed"] > 3
     return messages.calls
 

@@ -17,7 +17,7 @@ from support.ranks import RankPool
 from torch import Tensor
 
 import pgccd
-from distributed.world.test_captured import motion, plain_loop, response, spread
+from distributed.world.test_loop import motion, plain_loop, response, spread
 from pgccd.distributed import Bodies, CapturedWorld, Comm
 from pgccd.distributed.comm.interface import Alone
 from pgccd.distributed.detection.share import search_share

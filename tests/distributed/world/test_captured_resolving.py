@@ -13,7 +13,7 @@ from support.ranks import World as Ranks
 from torch import Tensor
 
 import pgccd
-from distributed.world.test_captured import meshes
+from distributed.world.test_loop import meshes
 from pgccd.distributed import BalanceOptions, Bodies, CapturedWorld, Comm, World, WorldStep
 from pgccd.distributed.comm.interface import Alone
 from pgccd.distributed.halo import halo_sizes

@@ -17,7 +17,7 @@ from torch import Tensor
 
 import pgccd
 from distributed.world import test_motions
-from distributed.world.test_captured import BOX, COUNT, meshes, motion, response, start
+from distributed.world.test_loop import BOX, COUNT, meshes, motion, response, start
 from distributed.world.test_payload import BOX as MESH
 from distributed.world.test_payload import columns_of, moving
 from pgccd.distributed import Alone, BalanceOptions, CapturedWorld, CheckpointError, Comm, World

@@ -22,8 +22,8 @@ from support.ranks import RankPool
 
 import pgccd
 from distributed.world import test_motions
-from distributed.world.test_checkpoint import CROWD, begin, load, save_on_the_way, state_of
 from distributed.world.test_motions import spread
+from distributed.world.test_world_checkpoint import CROWD, begin, load, save_on_the_way, state_of
 from pgccd.checkpoint import files
 from pgccd.checkpoint.files import FOLDER, POINTER
 from pgccd.checkpoint.lock import hold
