@@ -10,6 +10,7 @@ SITES = "pgccd/contacts/sites.py"
 NORMALS = "pgccd/contacts/normals.py"
 ON_APPROACH = ("contacts/test_approach.py",)
 ON_SEARCH = ("search/test_search_of_approaching.py", "contacts/test_approach.py")
+ON_WOULD = ("search/test_search_of_approaching.py::test_what_certainly_fails_would_fail",)
 ON_GRADIENTS = ("contacts/test_gradients.py",)
 ON_NORMALS = ("contacts/test_surface_cones.py", "contacts/test_normals.py")
 
@@ -115,8 +116,17 @@ MUTANTS = [
         "(norm(directions) > 0.0)",
     ),
     _mutant("recedes-one-sided", APPROACH, "stays[came] = is_sided | ", "stays[came] = is_sided | ~is_sided | "),
-    _mutant("recedes-roughly", APPROACH, "(needed - _ROUGHLY * size)", "(needed - 0.0 * size)"),
-    _mutant("recedes-some-of-its-time", APPROACH, "self.toi + part * (1.0 - self.toi)", "self.toi + 0.5 * part"),
+    Mutant(
+        "recedes-roughly", APPROACH, "(needed - _ROUGHLY * size)", "(needed - 0.0 * size)", ON_WOULD, switched=False
+    ),
+    Mutant(
+        "recedes-some-of-its-time",
+        APPROACH,
+        "self.toi + part * (1.0 - self.toi)",
+        "self.toi + 0.5 * part",
+        ON_WOULD,
+        switched=False,
+    ),
     _mutant("recedes-chord", APPROACH, "high.clamp(min=0.0) * length", "0.0 * high * length"),
     _mutant("recedes-chord-0.99", APPROACH, "length * length / 8.0", "0.99 * length * length / 8.0"),
     _mutant("recedes-tangent", APPROACH, "0.5 * low * bottom", "0.5 * high * bottom"),
@@ -219,7 +229,14 @@ MUTANTS = [
         "torch.where(apart[:, None], offset, 0.0), torch.where(apart, noise, 0.0)",
         "offset, 0.0 * noise",
     ),
-    _mutant("normals-guessed-for-all", NORMALS, "~(one.is_guessed | other.is_guessed)[group]", "(group >= 0)"),
+    Mutant(
+        "normals-guessed-for-all",
+        NORMALS,
+        "~(one.is_guessed | other.is_guessed)[group]",
+        "(group >= 0)",
+        ("search/test_search_of_approaching.py::test_normals_of_contacts_with_the_same_surfaces",),
+        switched=False,
+    ),
     _mutant("normals-no-reach", NORMALS, "is_above.double() - is_below.double()", "0.0 * is_above.double()"),
     _mutant("normals-no-solid", NORMALS, "sign = torch.where(sign == 0.0, solid, sign)", "_ = solid"),
     _mutant("normals-beside", NORMALS, "sign = torch.where((over != 0.0) & (solid != 0.0), over, sign)", "_ = over"),

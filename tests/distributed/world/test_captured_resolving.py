@@ -9,6 +9,7 @@ from unittest import mock
 import pytest
 import torch
 from support.graphs import graphs_on
+from support.ranks import RankPool
 from support.ranks import World as Ranks
 from torch import Tensor
 
@@ -16,6 +17,7 @@ import pgccd
 from distributed.world.test_loop import meshes
 from pgccd.distributed import BalanceOptions, Bodies, CapturedWorld, Comm, World, WorldStep
 from pgccd.distributed.comm.interface import Alone
+from pgccd.distributed.detection.held_exchange import HeldExchange
 from pgccd.distributed.halo import halo_sizes
 from pgccd.distributed.steps import replayed as rank_steps
 from pgccd.distributed.world import resolve as resolve_module
@@ -210,6 +212,25 @@ def test_nothing_moves_in_a_step_that_is_incomplete(device: torch.device) -> Non
 def test_nothing_moves_if_another_rank_is_incomplete(world: Ranks) -> None:
     for seen, _ in world(lose_contacts, "cpu"):
         assert seen[0] and not seen[-1]
+
+
+def send_one_row(comm: Comm) -> int:
+    """Replays have room for one body in common with each rank; the number of steps that were repeated."""
+    start_exchange = HeldExchange.start
+
+    def cramped(share: Any, decomposition: Any, capacities: Any = None, peers: Any = None) -> HeldExchange:
+        capacities = None if capacities is None else [min(each, 1) for each in capacities]
+        return start_exchange(share, decomposition, capacities, peers)
+
+    with graphs_on("cpu"), mock.patch.object(HeldExchange, "start", cramped):
+        world = spread(comm, torch.device("cpu"), "report")
+        steps = CapturedWorld(world, motion, response, True, resolve=True, movable=movable).run(STEPS)
+        require_columns(world, plain_loop(STEPS, "report")[0])
+    return sum(not step.replayed for step in steps)
+
+
+def test_bodies_in_common_that_do_not_fit(ranks: RankPool) -> None:
+    assert ranks.run(3, send_one_row)[0] > 1
 
 
 def test_more_rounds_than_were_captured(device: torch.device) -> None:
