@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -195,7 +196,7 @@ def test_what_certainly_fails_would_fail(turn: float) -> None:
     motion = pgccd.RigidMotion.from_velocity(x, q, torch.zeros_like(x), w, 1.0)
     zero = torch.zeros(count, 2, dtype=torch.int32)
     bodies = torch.arange(2 * count).view(-1, 2)
-    columns = (zero[:, 0].char(), zero, zero.double(), torch.full((count,), 0.25).double(), x[::2])
+    columns = (zero[:, 0].char(), zero, zero.double(), torch.full((count,), 0.75).double(), x[::2])
     vertex = torch.arange(count)[:, None].expand(-1, 3) % 8
     sets = approach._Sets.of(Sites(scene, motion, bodies, *columns), torch.arange(count), vertex, vertex)
     none = torch.zeros(count, dtype=torch.float64)
@@ -205,6 +206,8 @@ def test_what_certainly_fails_would_fail(turn: float) -> None:
         stays = sets.stay(direction, middle, none)
         low, high = torch.where(stays, middle, low), torch.where(stays, high, middle)
     assert sets.stay(direction, low, none).all() and (high - low).max() < 1e-10
+    ends = [replace(sets, toi=toi).apart_at_toi(direction) for toi in (sets.toi, torch.ones_like(sets.toi))]
+    assert (low - torch.minimum(*ends)).abs().max() < 1e-6  # the paths are nearly straight
     for part in (0.0, 1.0 / 16.0, 1.0):
         assert sets.may_stay(direction[:, None], low, part).all()
     assert turn or not sets.may_stay(direction[:, None], high + 1e-5).any()
