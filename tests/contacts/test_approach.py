@@ -209,6 +209,24 @@ def test_the_slack_on_curved_paths(device: torch.device) -> None:
     )
 
 
+def test_a_tip_that_turns_and_sinks(device: torch.device) -> None:
+    """Lowest midway: its body sinks while it turns up, so that the tip is above the floor again at the end."""
+    angle, sinks = 0.566, 1.5
+    corners = torch.tensor([[0.0, -10.0, 0.0], [0.1, 0.0, -0.1], [-0.1, 0.0, -0.1], [0.0, 0.0, 0.1]])
+    needle = pgccd.Mesh(corners.double(), torch.tensor([[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]]))
+    scene = pgccd.Scene([needle, pgccd.Mesh.box([30.0, 1.0, 30.0])], [0, 1], device=device)
+    start = torch.tensor([[0.0, 10.0, 0.0], [0.0, -0.5, 0.0]], dtype=torch.float64)
+    down, turn = torch.zeros(2, 2, 3, dtype=torch.float64)
+    down[0, 1], turn[0, 2] = -sinks, angle
+    upright = torch.tensor([[1.0, 0.0, 0.0, 0.0]] * 2, dtype=torch.float64)
+    motion = pgccd.RigidMotion.from_rotation(start, upright, start + down, turn).to(device)
+    hits = pgccd.detect(scene, motion)
+    assert hits.toi.tolist() == [0.0]
+    lowest = math.asin(sinks / (10.0 * angle)) / angle
+    depth = sinks * lowest - 10.0 * (1.0 - math.cos(angle * lowest))
+    assert [len(pgccd.approaching(scene, motion, hits, part * depth)) for part in (0.6, 0.99, 1.02)] == [1, 1, 0]
+
+
 def test_the_end_of_curved_paths(device: torch.device) -> None:
     """A tip sinks on its circle until the end of the step, no longer; or until just before."""
     scene, motion = pendulum(0.0, -0.5, 0.0, device)
