@@ -120,9 +120,9 @@ def resolve(
 
     Returns:
         Resolution, on the scene's device; of a trajectory TrajectoryResolution; PaddedResolution if `capacity` is
-        given: an incomplete one reads as fraction 0 for every body. On a GPU the host synchronises twice (once if no body is
-        stopped), and again in the first call for a scene, and if a step exceeds the capacities or the number of rounds
-        of earlier ones.
+        given: an incomplete one reads as fraction 0 for every body. On a GPU the host synchronises twice (once if no
+        body is stopped), again in the first call for a scene, and if a step exceeds the capacities or the number of
+        rounds of earlier ones.
 
     Raises:
         TypeError, ValueError: naming the argument; also if an input requires grad. A UserWarning names a scene whose
