@@ -93,6 +93,21 @@ struct DetectOps {
     return {position, turned};
   }
 
+  static std::tuple<Tensor, Tensor> shorten_arcs(const Tensor& position_t0, const Tensor& position_t1,
+                                                 const Tensor& rotation, const Tensor& fraction) {
+    ShortenedArcs arcs;
+    arcs.fraction = rows<double>(fraction, "fraction", {kAnySize});
+    const int64_t count = fraction.size(0);
+    arcs.position_t0 = rows<double>(position_t0, "position_t0", {count, 3});
+    arcs.position_t1 = rows<double>(position_t1, "position_t1", {count, 3});
+    arcs.rotation = rows<double>(rotation, "rotation", {count, 3});
+    Tensor end = new_tensor<double>(fraction, {count, 3}), turn = new_tensor<double>(fraction, {count, 3});
+    arcs.end = data<double>(end);
+    arcs.turn = data<double>(turn);
+    pgccd::shorten_arcs(Session(fraction).context(), arcs, count);
+    return {end, turn};
+  }
+
   static std::tuple<Tensor, Tensor, Tensor> moving_spheres(const TensorList& mesh_set, const TensorList& bodies,
                                                            bool linear_path) {
     const RigidBodies view = rigid_view(mesh_set, bodies, linear_path);
@@ -280,6 +295,7 @@ void register_detect_ops(Library& library) {
   library.impl("sound_radii", PGCCD_BOX(Ops::sound_radii));
   library.impl("rotations_between", PGCCD_BOX(Ops::rotations_between));
   library.impl("poses_at", PGCCD_BOX(Ops::poses_at));
+  library.impl("shorten_arcs", PGCCD_BOX(Ops::shorten_arcs));
   library.impl("moving_spheres", PGCCD_BOX(Ops::moving_spheres));
   library.impl("moving_boxes_rigid", PGCCD_BOX(Ops::moving_boxes_rigid));
   library.impl("moving_boxes_deforming", PGCCD_BOX(Ops::moving_boxes_deforming));

@@ -138,6 +138,24 @@ struct RowOps {
     return taken;
   }
 
+  static void commit_rows(const TensorList& columns, const TensorList& values, const Tensor& id,
+                          const Tensor& discard) {
+    const int64_t* ids = bind::rows<int64_t>(id, "id", {kAnySize});
+    const int64_t count = id.size(0);
+    const CommittedRows rows{ids, bind::rows<int64_t>(discard, "discard", {1}), count, count};
+    const ColumnViews targets(columns, "columns", id), sources(values, "values", id);
+    sources.require_like(targets);
+    if (columns.empty()) return;
+    STD_TORCH_CHECK(targets.require_rows() == count && sources.require_rows() == count,
+                    "columns, values: expected a row per id, ", count);
+    const auto copies = column_copies(targets, [&](size_t k, int64_t) {
+      const int64_t width = targets.width(k);
+      return ColumnCopy{
+          sources.data(k), targets.data(k), const_cast<uint8_t*>(targets.data(k)), width, width, width, 0};
+    });
+    pgccd::commit_rows(Session(id).context(), copies, rows);
+  }
+
   static TensorList merge_rows(const TensorList& columns, const Tensor& removed, const Tensor& packed) {
     STD_TORCH_CHECK(!columns.empty(), "columns: expected ids at least");
     const ColumnViews views(columns, "columns", packed);
@@ -174,6 +192,7 @@ void register_row_ops(Library& library) {
   library.impl("pack_rows", PGCCD_BOX(Ops::pack_rows));
   library.impl("unpack_rows", PGCCD_BOX(Ops::unpack_rows));
   library.impl("take_rows", PGCCD_BOX(Ops::take_rows));
+  library.impl("commit_rows", PGCCD_BOX(Ops::commit_rows));
   library.impl("merge_rows", PGCCD_BOX(Ops::merge_rows));
 }
 

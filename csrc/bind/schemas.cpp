@@ -38,6 +38,9 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
       "poses_at(Tensor position_t0, Tensor position_t1, Tensor orientation, Tensor rotation, Tensor time) -> "
       "(Tensor position, Tensor orientation_at)");
   library.def(
+      "shorten_arcs(Tensor position_t0, Tensor position_t1, Tensor rotation, Tensor fraction) -> (Tensor end, "
+      "Tensor turn)");
+  library.def(
       "moving_spheres(Tensor[] mesh_set, Tensor[] bodies, bool linear_path) -> (Tensor centre_t0, Tensor centre_t1, "
       "Tensor reach)");
   // (bodies, 28) f32: see core/moving_box.h
@@ -121,6 +124,7 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
   library.def("unpack_rows(Tensor packed, Tensor[] like) -> Tensor[]");
   library.def("take_rows(Tensor[] columns, Tensor[] more, Tensor rows) -> Tensor[]");
   library.def("merge_rows(Tensor[] columns, Tensor removed, Tensor packed) -> Tensor[]");
+  library.def("commit_rows(Tensor(a!)[] columns, Tensor[] values, Tensor id, Tensor discard) -> ()");
 
   // Distribution of bodies over ranks.
   // centres, ghosts = [position_t0 (N, 3), position_t1 (N, 3), radius (N,)]
@@ -149,7 +153,7 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
   library.def(
       "leaving_bodies(Tensor position, float[] frame, Tensor owner, int rank, int ranks) -> (Tensor leaving, "
       "Tensor by_destination, Tensor counts)");
-  library.def("count_leaving(Tensor position, Tensor? id, float[] frame, Tensor owner, int rank) -> Tensor");
+  library.def("leaving_and_invalid(Tensor position, Tensor? id, float[] frame, Tensor owner, int rank) -> Tensor");
 
   // Rounds in which collisions are resolved.
   library.def(

@@ -170,12 +170,12 @@ struct SubdomainOps {
     return {leaving, by_destination, counts};
   }
 
-  static Tensor count_leaving(const Tensor& position, const std::optional<Tensor>& id, FrameList frame,
-                              const Tensor& owner, int64_t rank) {
-    Tensor count = new_tensor<int64_t>(owner, {1});
-    pgccd::count_leaving(Session(owner).context(), positions_view(position, id), subdomain_view(frame, owner, rank),
-                         data<int64_t>(count));
-    return count;
+  static Tensor leaving_and_invalid(const Tensor& position, const std::optional<Tensor>& id, FrameList frame,
+                                    const Tensor& owner, int64_t rank) {
+    Tensor counts = new_tensor<int64_t>(owner, {2});
+    pgccd::leaving_and_invalid(Session(owner).context(), positions_view(position, id),
+                               subdomain_view(frame, owner, rank), data<int64_t>(counts));
+    return counts;
   }
 };
 
@@ -191,7 +191,7 @@ void register_subdomain_ops(Library& library) {
   library.impl("owned_pairs", PGCCD_BOX(Ops::owned_pairs));
   library.impl("near_ghosts", PGCCD_BOX(Ops::near_ghosts));
   library.impl("leaving_bodies", PGCCD_BOX(Ops::leaving_bodies));
-  library.impl("count_leaving", PGCCD_BOX(Ops::count_leaving));
+  library.impl("leaving_and_invalid", PGCCD_BOX(Ops::leaving_and_invalid));
 }
 
 }  // namespace pgccd::bind

@@ -296,11 +296,14 @@ class RigidMotion(MovingColumns):
         Example:
             >>> half = motion.shortened(0.5)
         """
-        part = fractions_of(fraction, self.body_count, self.device)[:, None]
-        return self._with(
-            position_t1=_point_at(part, self.position_t0, self.position_t1),
-            rotation=_point_at(part, torch.zeros_like(self.rotation), self.rotation),
-        )
+        part = fractions_of(fraction, self.body_count, self.device)
+        columns = self.position_t0, self.position_t1, self.rotation
+        if any_differentiated(*columns):
+            end = _point_at(part[:, None], self.position_t0, self.position_t1)
+            turn = _point_at(part[:, None], torch.zeros_like(self.rotation), self.rotation)
+        else:
+            end, turn = ops.shorten_arcs(*columns, part)
+        return self._with(position_t1=end, rotation=turn)
 
     def __getitem__(self, rows: Tensor | slice | Sequence[int]) -> RigidMotion:
         """The motion of some bodies: a mask (N,), row numbers or a slice.

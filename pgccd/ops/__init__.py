@@ -19,6 +19,7 @@ from pgccd.ops.detection import (
     poses_at,
     refit,
     rotations_between,
+    shorten_arcs,
     sound_radii,
     traverse,
     vertex_face,
@@ -28,7 +29,7 @@ from pgccd.ops.graphs import begin_conditional, end_conditional, has_conditional
 from pgccd.ops.library import Bodies, set_device_share, take_scratch_peak
 from pgccd.ops.peers import peer_gather, peer_minimum
 from pgccd.ops.resolve import resolve_first_toi, resolve_pairs, resolve_slow_down
-from pgccd.ops.rows import merge_rows, pack_rows, take_rows, unpack_rows
+from pgccd.ops.rows import commit_rows, merge_rows, pack_rows, take_rows, unpack_rows
 from pgccd.ops.simulate import (
     random_uniforms,
     simulate_commit,
@@ -42,8 +43,8 @@ from pgccd.ops.subdomain import (
     Centres,
     Subdomain,
     boundary_bodies,
-    count_leaving,
     counts_to_send,
+    leaving_and_invalid,
     leaving_bodies,
     near_ghosts,
     owned_pairs,

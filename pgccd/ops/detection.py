@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from pgccd.ops.library import Bodies, float64, int64, operator, operator_of_bodies, unknown_count
+from pgccd.ops.library import Bodies, float64, int64, on_contiguous, operator, operator_of_bodies, unknown_count
 
 #: Columns of contacts: index into the pairs (K,), kind (K,), features (K, 2), status (K,), toi (K,), coordinates
 #: (K, 2), point (K, 3), normal (K, 3).
@@ -56,6 +56,15 @@ def poses_at(
 ) -> tuple[Tensor, Tensor]:
     """Positions (M, 3) and unit quaternions (M, 4) of M rigid bodies on their arcs at times (M,)."""
     return torch.empty_like(position_t0), torch.empty_like(orientation)
+
+
+@on_contiguous
+@operator
+def shorten_arcs(position_t0: Tensor, position_t1: Tensor, rotation: Tensor, fraction: Tensor) -> tuple[Tensor, Tensor]:
+    """Ends (N, 3) and rotation vectors (N, 3) of the first part, `fraction` (N,) in [0, 1], of N arcs: exactly those of
+    the whole at 1, and of a body at rest at 0, whatever `position_t1` is.
+    """
+    return torch.empty_like(position_t0), torch.empty_like(rotation)
 
 
 @operator

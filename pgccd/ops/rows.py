@@ -39,6 +39,13 @@ def take_rows(columns: Columns, more: Columns, rows: Tensor) -> list[Tensor]:
     return _of_length(columns, rows.shape[0])
 
 
+@operator
+def commit_rows(columns: Columns, values: Columns, id: Tensor, discard: Tensor) -> None:
+    """Overwrites the columns (N, ...) in place with `values` of equal dtypes and widths, in the rows with an `id` (N,)
+    >= 0; none if `discard` (1,) int64 is not 0. No value may share memory with a column.
+    """
+
+
 @on_contiguous
 @operator
 def merge_rows(columns: Columns, removed: Tensor, packed: Tensor) -> list[Tensor]:

@@ -156,9 +156,11 @@ def leaving_bodies(
 
 
 @operator
-def count_leaving(position: Tensor, id: Tensor | None, frame: Frame, owner: Tensor, rank: int) -> Tensor:
-    """(1,) int64: the number of these bodies. id (N,): negative for padding; None: there is no padding."""
-    return int64(position, 1)
+def leaving_and_invalid(position: Tensor, id: Tensor | None, frame: Frame, owner: Tensor, rank: int) -> Tensor:
+    """(2,) int64: the number of these bodies, and of bodies whose position is invalid. id (N,): negative for padding;
+    None: there is no padding.
+    """
+    return int64(position, 2)
 
 
 def _rows(like: Tensor, count: int) -> tuple[Tensor, Tensor]:

@@ -16,6 +16,9 @@ from pgccd.search import broad, narrow
 from pgccd.search.bodies import MovingBodies
 from pgccd.search.query import Query
 
+# Rows of a buffer that a result may keep, whatever its own number of rows.
+_SMALL_BUFFER = 256
+
 
 @dataclass
 class PaddedSearch:
@@ -46,7 +49,11 @@ class PaddedSearch:
         count = counts.contacts
         rows = self.rows
         if rows[0].shape[0] != count:
-            rows = tuple(column[:count] for column in rows)  # type: ignore[assignment]
+            # A result that is kept does not keep large buffers of the search.
+            if rows[0].shape[0] > max(_SMALL_BUFFER, 4 * count):
+                rows = tuple(ops.take_rows(list(rows), [], torch.arange(count, device=rows[0].device)))  # type: ignore
+            else:
+                rows = tuple(column[:count] for column in rows)  # type: ignore[assignment]
         if self.query.report == "earliest":
             rows = take_earliest(rows)
         bodies, waits = self.bodies.scene.body_count, int(self.counts.is_cuda)

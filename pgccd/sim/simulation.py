@@ -15,7 +15,7 @@ from pgccd.distributed.detection.options import SearchOptions
 from pgccd.distributed.detection.share import Share, search_share
 from pgccd.distributed.guard import collective
 from pgccd.distributed.halo.halo_sizes import HaloSizes
-from pgccd.distributed.halo.migrate import IdChecksum, count_leaving, id_range, migrate
+from pgccd.distributed.halo.migrate import IdChecksum, id_range, leaving_and_invalid, migrate
 from pgccd.distributed.partition.balance import BalanceOptions
 from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.distributed.partition.interface import Partition
@@ -276,7 +276,8 @@ class Simulation(RankSteps[Step, CommittedStep, StepGraph]):
             other ranks.
             """
             ghosts = (searches.id[len(after) :] >= 0).sum()[None]
-            summary = torch.cat([ghosts, self._notes, count_leaving(decomposition, after.position, after.id)])
+            leaving = leaving_and_invalid(decomposition, after.position, after.id)[:1]
+            summary = torch.cat([ghosts, self._notes, leaving])
             self._notes[:1].zero_()
             return summary
 

@@ -89,6 +89,29 @@ def test_taking(
     require_equal(taken, [column[rows] for column in together], device)
 
 
+@same_device
+@given(kinds, st.integers(0, 300), st.booleans(), seeds)
+def test_committing(device: torch.device, kinds: list[Kind], count: int, discards: bool, seed: int) -> None:
+    generator = torch.Generator().manual_seed(seed)
+    columns, values = (columns_of(kinds, count, generator) for _ in range(2))
+    id = torch.randint(-1, 3, (count,), generator=generator)
+    written, discard = to(device, columns), torch.tensor([5 * discards], device=device)
+    written = [column.clone() for column in written]
+    ops.commit_rows(written, to(device, values), id.to(device), discard)
+    is_new = (id >= 0) & (not discards)
+    expected = [column.clone() for column in columns]
+    for column, value in zip(expected, values, strict=True):
+        column[is_new] = value[is_new]
+    require_equal(written, expected, device)
+
+
+def test_opcheck_of_committing(device: torch.device) -> None:
+    id = torch.tensor([0, -1, 3], device=device)
+    columns = [torch.rand(3, 2, device=device), id > 0]
+    values, discard = [column.clone() for column in columns], torch.zeros(1, dtype=torch.int64, device=device)
+    torch.library.opcheck(torch.ops.pgccd.commit_rows, (columns, values, id, discard))
+
+
 @st.composite
 def changes(draw: st.DrawFn) -> tuple[list[int], list[int], list[int]]:
     """Ids, rows removed, ids added: from a small range, so that ids may precede, interleave, follow or repeat."""
@@ -188,6 +211,11 @@ def test_errors_name_the_argument(device: torch.device) -> None:
         ("more: expected 2 tensors, got 1", lambda: ops.take_rows([id, x], [id], rows)),
         (r"more\[0\]: wrong dtype", lambda: ops.take_rows([id], [id.double()], rows)),
         (r"more\[1\]: expected rows of 24 bytes, got 16", lambda: ops.take_rows([id, x], [id, x[:, :2]], rows)),
+        (r"values\[0\]: wrong dtype", lambda: ops.commit_rows([x], [x.float()], id, id[:1])),
+        ("values: expected 1 tensors, got 0", lambda: ops.commit_rows([x], [], id, id[:1])),
+        ("expected a row per id, 4", lambda: ops.commit_rows([x[:3]], [x[:3]], id, id[:1])),
+        ("discard: expected size 1", lambda: ops.commit_rows([x], [x], id, id)),
+        (r"columns\[0\]: expected a contiguous", lambda: ops.commit_rows([x.repeat(1, 2)[:, :3]], [x], id, id[:1])),
         ("columns: expected ids at least", lambda: ops.merge_rows([], rows, packed)),
         (r"columns\[0\] \(ids\): wrong dtype", lambda: ops.merge_rows([x[:, 0], x], rows, packed)),
         ("packed: expected size 8 in dimension 1", lambda: ops.merge_rows([id], rows, packed)),

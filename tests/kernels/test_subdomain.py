@@ -136,7 +136,12 @@ def test_operators_agree_with_brute_force(data: st.DataObject) -> None:
         padding = torch.arange(len(id)) % 4 == 2
         gone = centre_owner != rank
         for numbers, is_there in ((None, ~padding | padding), (torch.where(padding, -1, id).to(device), ~padding)):
-            assert ops.count_leaving(here[0], numbers, *subdomain).tolist() == [int((gone & is_there).sum())]
+            found = ops.leaving_and_invalid(here[0], numbers, *subdomain).tolist()
+            assert found == [int((gone & is_there).sum()), 0]
+            at = here[0].clone()
+            at[::3, 1], at[1::3, 2] = torch.nan, 1.1e150
+            found = ops.leaving_and_invalid(at, numbers, *subdomain).tolist()
+            assert found[1] == int(is_there[::3].sum() + is_there[1::3].sum())
         leaving, by_destination, counts = ops.leaving_bodies(here[0], *subdomain, ranks)
         assert counts.tolist() == torch.bincount(centre_owner[gone], minlength=ranks).tolist()
         rows = torch.nonzero(gone)[:, 0]
@@ -225,7 +230,7 @@ def test_many_leave_for_many(device: torch.device) -> None:
     rows = torch.nonzero(owner != rank)[:, 0]
     assert counts.tolist() == torch.bincount(owner[rows], minlength=partition.ranks).tolist()
     assert torch.equal(leaving[: len(rows)].cpu(), rows)
-    assert ops.count_leaving(position.to(device), None, *where).tolist() == [len(rows)]
+    assert ops.leaving_and_invalid(position.to(device), None, *where).tolist() == [len(rows), 0]
     assert torch.equal(by_destination[: len(rows)].cpu(), rows[torch.argsort(owner[rows], stable=True)])
 
 

@@ -141,7 +141,7 @@ def test_same_bits_with_and_without_a_list(device: torch.device, travel: float) 
         scene, motion = bodies_of(60, seed, margin=True)
         motion.position_t1 = motion.position_t0 + travel * (motion.position_t1 - motion.position_t0)
         columns = {"static": torch.arange(60) % 7 == 0, "exclude": torch.tensor([[0, 1], [2, 40]])}
-        scene = pgccd.Scene(scene.meshes, scene.mesh_index, device, margin=0.05 * scene.margin, **columns)
+        scene = pgccd.Scene(scene.meshes.meshes, scene.mesh_index, device, margin=0.05 * scene.margin, **columns)
         motion = motion.to(device)
         found = []
         for most in (10**9, 0):

@@ -32,6 +32,16 @@ def test_poses_on_arcs(device: torch.device) -> None:
     assert motion.shortened(0.25).rotation.equal(0.25 * motion.rotation)
 
 
+def test_same_bits_where_gradients_are_wanted(device: torch.device) -> None:
+    motion, fraction = rigid(device), torch.linspace(0, 1, 20, dtype=torch.float64, device=device)
+    plain = motion.shortened(fraction)
+    motion.position_t0.requires_grad_(True)
+    shorter = motion.shortened(fraction)
+    assert torch.equal(shorter.position_t1, plain.position_t1) and torch.equal(shorter.rotation, plain.rotation)
+    (gradient,) = torch.autograd.grad(shorter.position_t1.sum(), motion.position_t0)
+    assert torch.allclose(gradient, (1.0 - fraction)[:, None].expand(-1, 3), rtol=0, atol=1e-15)
+
+
 @pytest.mark.parametrize("path", ["rigid", "linear"])
 def test_all_and_nothing_of_a_path(path: str, device: torch.device) -> None:
     motion = rigid(device, path)

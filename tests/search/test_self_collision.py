@@ -314,7 +314,7 @@ def test_cuda_gives_the_bits_of_the_cpu() -> None:
         for report in narrow.REPORTS:
             for separation in (0.0, 0.02):
                 one, other = (
-                    pgccd.detect(
+                    detected(
                         pgccd.Scene(some, device=device, self_collision=True),
                         motion_of(*some_ends, device=torch.device(device)),
                         report,

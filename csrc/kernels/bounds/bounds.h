@@ -23,6 +23,9 @@ void poses_at(const Executor& executor, const RigidPoses& poses, int64_t count, 
 void poses_at(const DeviceContext& context, const RigidPoses& poses, int64_t count, double* position,
               double* orientation);
 
+void shorten_arcs(const Executor& executor, const ShortenedArcs& arcs, int64_t count);
+void shorten_arcs(const DeviceContext& context, const ShortenedArcs& arcs, int64_t count);
+
 // SBV centres at both ends (bodies, 3), and the radius (bodies,) of the sphere moving straight between them that
 // contains the body throughout.
 struct MovingSpheres {

@@ -65,6 +65,12 @@ void poses_at(const Executor& executor, const RigidPoses& poses, int64_t count, 
   });
 }
 
+void shorten_arcs(const Executor& executor, const ShortenedArcs& arcs, int64_t count) {
+  parallel_chunks(executor, count, 1024, [&](int, int64_t begin, int64_t end) {
+    for (int64_t body = begin; body < end; ++body) arcs.shorten(body);
+  });
+}
+
 void moving_spheres(const Executor& executor, const RigidBodies& bodies, int64_t count, const MovingSpheres& out) {
   require_rows(executor, count, "bodies.mesh_index", "name meshes",
                [&](int64_t body) { return names_mesh(bodies, body); });

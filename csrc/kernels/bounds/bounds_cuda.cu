@@ -242,6 +242,10 @@ void poses_at(const DeviceContext& context, const RigidPoses& poses, int64_t cou
   for_each_item(context, count, [=] __device__(int64_t row) { pose_at(poses, row, position, orientation); });
 }
 
+void shorten_arcs(const DeviceContext& context, const ShortenedArcs& arcs, int64_t count) {
+  for_each_item(context, count, [=] __device__(int64_t body) { arcs.shorten(body); });
+}
+
 void moving_spheres(const DeviceContext& context, const RigidBodies& bodies, int64_t count, const MovingSpheres& out) {
   for_each_item(context, count, [=] __device__(int64_t b) {
     require_on_device(names_mesh(bodies, b), "bodies.mesh_index: expected rows of meshes");

@@ -39,4 +39,28 @@ PGCCD_HD void pose_at(const RigidPoses& poses, int64_t row, double* position, do
   store_vec3(orientation + 4 * row + 1, now.v);
 }
 
+// The point at a fraction of a straight path: exactly its ends at 0 and 1. `start` may be at rest before an invalid
+// end.
+PGCCD_HD double point_on_path(double fraction, double start, double end) {
+  if (fraction == 1.0) return end;
+  return fraction == 0.0 ? start : start + fraction * (end - start);
+}
+
+// The first part of a body's arc: where it ends, and its rotation.
+struct ShortenedArcs {
+  const double* position_t0;  // (count, 3), here and below
+  const double* position_t1;
+  const double* rotation;
+  const double* fraction;  // (count,) in [0, 1]
+  double* end;
+  double* turn;
+
+  PGCCD_HD void shorten(int64_t body) const {
+    for (int64_t k = 3 * body; k < 3 * body + 3; ++k) {
+      end[k] = point_on_path(fraction[body], position_t0[k], position_t1[k]);
+      turn[k] = point_on_path(fraction[body], 0.0, rotation[k]);
+    }
+  }
+};
+
 }  // namespace pgccd

@@ -134,9 +134,10 @@ void leaving_bodies(const Executor& executor, const BodyPositions& bodies, const
 void leaving_bodies(const DeviceContext& context, const BodyPositions& bodies, const Subdomain& subdomain,
                     int64_t ranks, const LeavingRows& leaving);
 
-// The number of leaving bodies.
-void count_leaving(const Executor& executor, const BodyPositions& bodies, const Subdomain& subdomain, int64_t* count);
-void count_leaving(const DeviceContext& context, const BodyPositions& bodies, const Subdomain& subdomain,
-                   int64_t* count);
+// counts (2,): numbers of leaving bodies, and of bodies whose position is invalid.
+void leaving_and_invalid(const Executor& executor, const BodyPositions& bodies, const Subdomain& subdomain,
+                         int64_t* counts);
+void leaving_and_invalid(const DeviceContext& context, const BodyPositions& bodies, const Subdomain& subdomain,
+                         int64_t* counts);
 
 }  // namespace pgccd

@@ -140,9 +140,12 @@ void leaving_bodies(const Executor& executor, const BodyPositions& bodies, const
   }
 }
 
-void count_leaving(const Executor&, const BodyPositions& bodies, const Subdomain& subdomain, int64_t* count) {
-  *count = 0;
-  for (int64_t body = 0; body < bodies.count; ++body) *count += is_leaving(subdomain, bodies, body) ? 1 : 0;
+void leaving_and_invalid(const Executor&, const BodyPositions& bodies, const Subdomain& subdomain, int64_t* counts) {
+  counts[0] = counts[1] = 0;
+  for (int64_t body = 0; body < bodies.count; ++body) {
+    counts[0] += is_leaving(subdomain, bodies, body) ? 1 : 0;
+    counts[1] += has_invalid_position(bodies, body) ? 1 : 0;
+  }
 }
 
 }  // namespace pgccd

@@ -231,11 +231,12 @@ void leaving_bodies(const DeviceContext& context, const BodyPositions& bodies, c
   });
 }
 
-void count_leaving(const DeviceContext& context, const BodyPositions& bodies, const Subdomain& subdomain,
-                   int64_t* count) {
-  fill_bytes(context, count, 0, 1);
+void leaving_and_invalid(const DeviceContext& context, const BodyPositions& bodies, const Subdomain& subdomain,
+                         int64_t* counts) {
+  fill_bytes(context, counts, 0, 2);
   for_each_item(context, bodies.count, [=] __device__(int64_t body) {
-    if (is_leaving(subdomain, bodies, body)) warp_append(reinterpret_cast<unsigned long long*>(count));
+    if (is_leaving(subdomain, bodies, body)) warp_append(reinterpret_cast<unsigned long long*>(counts));
+    if (has_invalid_position(bodies, body)) warp_append(reinterpret_cast<unsigned long long*>(counts + 1));
   });
 }
 

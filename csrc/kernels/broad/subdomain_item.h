@@ -1,6 +1,7 @@
 // The box of a body, and the parts of space that it reaches.
 #pragma once
 
+#include "kernels/bounds/validation.h"
 #include "kernels/broad/space_partition.h"
 
 namespace pgccd {
@@ -154,8 +155,15 @@ PGCCD_HD int64_t owner_of(const Subdomain& subdomain, const BodyPositions& bodie
   return subdomain.owner_of(load_vec3(bodies.position + 3 * body));
 }
 
+PGCCD_HD bool is_body(const BodyPositions& bodies, int64_t row) { return bodies.id == nullptr || bodies.id[row] >= 0; }
+
 PGCCD_HD bool is_leaving(const Subdomain& subdomain, const BodyPositions& bodies, int64_t body) {
-  return (bodies.id == nullptr || bodies.id[body] >= 0) && owner_of(subdomain, bodies, body) != subdomain.rank;
+  return is_body(bodies, body) && owner_of(subdomain, bodies, body) != subdomain.rank;
+}
+
+PGCCD_HD bool has_invalid_position(const BodyPositions& bodies, int64_t body) {
+  const RowColumn position{bodies.position, bodies.count, 3, RowCheck::kMagnitude, kLargestCoordinate};
+  return is_body(bodies, body) && is_invalid(position, body);
 }
 
 }  // namespace pgccd

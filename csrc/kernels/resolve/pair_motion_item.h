@@ -2,6 +2,7 @@
 #pragma once
 
 #include "core/bodies.h"
+#include "kernels/bounds/pose_item.h"
 #include "kernels/padded_pairs.h"
 
 namespace pgccd {
@@ -48,17 +49,6 @@ struct ChangedPairs {
   }
 };
 
-namespace pair_motion_detail {
-
-// The point at a fraction of a straight path: exactly its ends at 0 and 1. `start` may be at rest before an invalid
-// end.
-PGCCD_HD double point_on_path(double fraction, double start, double end) {
-  if (fraction == 1.0) return end;
-  return fraction == 0.0 ? start : start + fraction * (end - start);
-}
-
-}  // namespace pair_motion_detail
-
 struct ShortenedPairs {
   ChangedPairs changed;
   int64_t pair_count;
@@ -88,9 +78,8 @@ struct ShortenedPairs {
       const double start = bodies.centres.position_t0[3 * body + k], end = bodies.centres.position_t1[3 * body + k];
       const double turn = bodies.rotation[3 * body + k];
       motion.position_t0[3 * row + k] = start;
-      motion.position_t1[3 * row + k] =
-          by_velocity ? start + part * end : pair_motion_detail::point_on_path(part, start, end);
-      motion.rotation[3 * row + k] = by_velocity ? part * turn : pair_motion_detail::point_on_path(part, 0.0, turn);
+      motion.position_t1[3 * row + k] = by_velocity ? start + part * end : point_on_path(part, start, end);
+      motion.rotation[3 * row + k] = by_velocity ? part * turn : point_on_path(part, 0.0, turn);
     }
   }
 

@@ -13,6 +13,10 @@ namespace pgccd {
 void copy_rows(const Executor& executor, const std::vector<ColumnCopy>& columns, const ChosenRows& rows);
 void copy_rows(const DeviceContext& context, const std::vector<ColumnCopy>& columns, const ChosenRows& rows);
 
+// Overwrites the rows of bodies: the target of each column is also its second array.
+void commit_rows(const Executor& executor, const std::vector<ColumnCopy>& columns, const CommittedRows& rows);
+void commit_rows(const DeviceContext& context, const std::vector<ColumnCopy>& columns, const CommittedRows& rows);
+
 // The first array of each column's source has the present rows, the second the added ones.
 void merge_rows(const Executor& executor, const std::vector<ColumnCopy>& columns, const RowChange& change);
 void merge_rows(const DeviceContext& context, const std::vector<ColumnCopy>& columns, const RowChange& change);

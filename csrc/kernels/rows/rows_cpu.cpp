@@ -69,6 +69,17 @@ void copy_rows(const Executor& executor, const std::vector<ColumnCopy>& columns,
               });
 }
 
+void commit_rows(const Executor& executor, const std::vector<ColumnCopy>& columns, const CommittedRows& rows) {
+  parallel_chunks(executor, rows.count, kChunkRows, [&](int, int64_t begin, int64_t end) {
+    for (int64_t row = begin; row < end; ++row) {
+      if (rows(row) != row) continue;
+      for (const ColumnCopy& column : columns) {
+        std::memcpy(column.target + row * column.target_stride, column.source(row, rows.first_count), column.width);
+      }
+    }
+  });
+}
+
 void merge_rows(const Executor& executor, const std::vector<ColumnCopy>& columns, const RowChange& change) {
   std::vector<int64_t> order(static_cast<size_t>(change.added_count)), places(order.size());
   std::iota(order.begin(), order.end(), int64_t{0});

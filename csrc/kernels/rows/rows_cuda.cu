@@ -93,6 +93,14 @@ void launch_copies(const DeviceContext& context, const std::vector<ColumnCopy>& 
   }
 }
 
+}  // namespace
+
+void commit_rows(const DeviceContext& context, const std::vector<ColumnCopy>& columns, const CommittedRows& rows) {
+  launch_copies(context, columns, rows);
+}
+
+namespace {
+
 struct AddedId {
   RowChange change;
   __device__ int64_t operator()(int64_t row) const { return change.added_id(row); }

@@ -33,6 +33,16 @@ struct ChosenRows {
   PGCCD_HD bool is_source(int64_t row) const { return row >= -1 && row < source_count; }
 };
 
+// Row k of the target: row k of the source's first array where a body is committed, else that of its second array.
+struct CommittedRows {
+  const int64_t* id;       // (count,) negative for padding
+  const int64_t* discard;  // (1,) nonzero: nothing is committed
+  int64_t count, first_count;
+
+  PGCCD_HD int64_t operator()(int64_t row) const { return *discard == 0 && id[row] >= 0 ? row : first_count + row; }
+  PGCCD_HD bool is_source(int64_t) const { return true; }
+};
+
 // A change of rows sorted by id: some removed, others added.
 struct RowChange {
   const int64_t* id;  // (count,) ascending

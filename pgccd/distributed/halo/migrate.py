@@ -19,15 +19,15 @@ from pgccd.runtime.hashing import row_hash
 _BLOCK = 1 << 22
 
 
-def count_leaving(decomposition: Decomposition, position: Tensor, id: Tensor) -> Tensor:
-    """(1,) int64 on the device: number of bodies that would leave this rank.
+def leaving_and_invalid(decomposition: Decomposition, position: Tensor, id: Tensor) -> Tensor:
+    """(2,) int64 on the device: numbers of bodies that would leave this rank, and of bodies with an invalid position.
 
     Args:
         decomposition: of space.
         position: (N, 3) of the bodies' origins.
         id: (N,) int64, negative for padding.
     """
-    return ops.count_leaving(position, id, *decomposition.subdomain)
+    return ops.leaving_and_invalid(position, id, *decomposition.subdomain)
 
 
 def migrate(

@@ -92,8 +92,10 @@ def vertices_of(motion: RigidMotion | VertexMotion, scene: Scene) -> Vertices | 
     return Vertices(motion.columns(), vertex_counts(scene.meshes, scene.mesh_index))
 
 
-def listed_search(share: Share, lists_contacts: bool = True) -> ListedSearch:
-    """The rounds of a step of rigid bodies on arcs, given this rank's share of it, searched `at_any_times`."""
+def listed_search(share: Share, id: Tensor | None = None, lists_contacts: bool = True) -> ListedSearch:
+    """The rounds of a step of rigid bodies on arcs, given this rank's share of it, searched `at_any_times`; `id` and
+    `lists_contacts` as of `ListedSearch`.
+    """
     own = share.passes[0].bodies
     return ListedSearch(
         share.passes,
@@ -102,7 +104,7 @@ def listed_search(share: Share, lists_contacts: bool = True) -> ListedSearch:
         None if share.ghosts is None else share.ghosts.tensors,
         lambda: pairs_of_rounds(share.passes),
         share.options.query,
-        id=share.held.id,
+        id=id,
         lists_contacts=lists_contacts,
     )
 
@@ -246,7 +248,7 @@ def find_fractions(
     exchange: Exchange
     if lists:
         exchange = held_exchange = HeldExchange.start(whole, rank.decomposition)
-        search, count = listed_search(whole), len(held)
+        search, count = listed_search(whole, held.id), len(held)
         if fixed is not None and whole.ghosts is not None:
             fixed = torch.cat([fixed, held.ghosts["fixed"]])
         if keeps_common:
@@ -305,8 +307,9 @@ def _of_owners(held: Held, by: Tensor) -> Tensor:
     own, of_ghosts = by.split([held.own_count, held.ghost_count])
     if held.route.neighbours.comm.size == 1:
         return own
-    answer = held.route.back({"by": of_ghosts.contiguous()}).wait()["by"]
-    return own.scatter_reduce(0, held.route.rows, answer, "amin")
+    answer, rows = held.route.back({"by": of_ghosts.contiguous()}).wait()["by"], held.route.rows
+    rows = torch.where(rows < 0, held.own_count, rows)  # padding
+    return torch.cat([own, own.new_zeros(1)]).scatter_reduce(0, rows, answer, "amin")[: held.own_count]
 
 
 def _nothing(fraction: Tensor) -> Tensor:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from pgccd import ops
 from pgccd.distributed.comm.exchange import Columns
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.comm.peer_memory import RowsOfRanks
@@ -18,7 +19,7 @@ from pgccd.distributed.detection.held_exchange import HeldExchange
 from pgccd.distributed.detection.options import SearchOptions
 from pgccd.distributed.detection.share import Share, search_share
 from pgccd.distributed.halo.halo_sizes import HaloSizes
-from pgccd.distributed.halo.migrate import count_leaving
+from pgccd.distributed.halo.migrate import leaving_and_invalid
 from pgccd.distributed.partition.balance import RankLoads
 from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.distributed.world.functions import (
@@ -36,7 +37,6 @@ from pgccd.distributed.world.input_checks import columns_to_send, scene_of
 from pgccd.distributed.world.resolve import listed_search, options_of_resolution
 from pgccd.distributed.world.world import World
 from pgccd.motion.paths import RigidMotion
-from pgccd.motion.validation import LARGEST_COORDINATE
 from pgccd.resolution.counts import SearchCounts
 from pgccd.resolution.rounds import Attempt, ids_of
 from pgccd.runtime.replayed_steps import GRAPH_SLACK
@@ -115,12 +115,18 @@ class WorldGraph(TransactionGraph[Committed]):
         padding: Columns,
         rows: int,
     ) -> None:
+        self._none, self._owned = torch.zeros((2, 1), dtype=torch.int64, device=world.id.device)
         super().__init__(world.columns, index, padding, rows)
         self._world, self._motion, self._response, self._tally = world, motion, response, tally
         self.excluded = world.options.excluded
         self._decomposition, self._sizes = decomposition, sizes
 
     rounds = 0  #: of resolution
+
+    def load(self, columns: Mapping[str, Tensor], index: int) -> None:
+        """As of `TransactionGraph`."""
+        super().load(columns, index)
+        self._owned.fill_(len(columns["id"]))
 
     def _step(self) -> Tensor:
         """(ranks, 4 + changes + k + 22 * passes) int64: failure flag; numbers of own bodies, ghosts, leaving bodies;
@@ -135,30 +141,25 @@ class WorldGraph(TransactionGraph[Committed]):
         moving = MovingBodies.of(scene, motion, wait=False)
         answer = self._answer(bodies, moving, motion)
         new = planned | with_position(self._response(bodies, answer.motion, answer.values))
-        is_body = id >= 0
-        leaving = count_leaving(self._decomposition, new["position"].contiguous(), id)
-        is_valid = ((new["position"].abs() <= LARGEST_COORDINATE).all(dim=1) | ~is_body).all()
-        failed = answer.incomplete | ~is_valid
-        owned, ghosts = is_body.sum()[None], (answer.share.held.ghosts["id"] >= 0).sum()[None]
+        new = {name: values.contiguous() for name, values in new.items()}
+        leaving, invalid = leaving_and_invalid(self._decomposition, new["position"], id).split(1)
+        ghosts = self._none if comm.size == 1 else (answer.share.held.ghosts["id"] >= 0).sum()[None]
         tally = answer.changes[:0]
         if self._tally is not None:
             pairs, toi = answer.share.first_contacts()
             pairs = ids_of(answer.share.held.id, pairs)
             tally = tallied(self._tally, bodies, new, answer.motion, answer.values, pairs, toi)
         self._tally_width = len(tally)
-        mine = torch.cat([failed, owned, ghosts, leaving, answer.changes, tally, *answer.counts])
+        failed = answer.incomplete + invalid
+        mine = torch.cat([failed, self._owned, ghosts, leaving, answer.changes, tally, *answer.counts])
         record = comm.all_gather(mine) if comm.peer_messages is None else comm.peer_messages.gather(mine)
-        self._failed.copy_(record[:, 0].amax(dim=0, keepdim=True).clamp(max=1))
+        torch.clamp(record[:, 0].amax(dim=0, keepdim=True), max=1, out=self._failed)
         self._index += 1 - self._failed
-        commits = is_body & (self._failed == 0)
-        # All values are computed before any is written: a response may return columns of the state under other names.
-        written = []
-        for name, values in new.items():
-            column = columns[name if name == "position" else "." + name]
-            is_new = commits.view(-1, *[1] * (column.dim() - 1))
-            written.append((column, torch.where(is_new, values, column)))
-        for column, values in written:
-            column.copy_(values)
+        written = [columns[name if name == "position" else "." + name] for name in new]
+        # A response may return columns of the state under other names.
+        state = {column.untyped_storage().data_ptr() for column in columns.values()}
+        values = [each.clone() if each.untyped_storage().data_ptr() in state else each for each in new.values()]
+        ops.commit_rows(written, values, id, self._failed)
         return record
 
     def _answer(self, bodies: Bodies, moving: MovingBodies, motion: RigidMotion) -> _Answer:

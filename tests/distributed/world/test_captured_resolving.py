@@ -162,8 +162,15 @@ def test_same_bits_as_resolve_in_one_process(world: Ranks, initial: str, cramped
     assert sum(contacts) > 200 and max(rounds) >= 3 and min(rounds) < max(rounds)
 
 
+def ahead(comm: Comm) -> int:
+    """As on GPUs, ghosts are sent in messages of fixed capacities, which have padding."""
+    with mock.patch("pgccd.distributed.steps.rank.sends_ahead", lambda comm, *_: comm.size > 1):
+        return follow(comm, "report", False, "cpu")["replayed"]
+
+
 def test_without_graphs(world: Ranks) -> None:
     assert world(follow, "report", False, "cpu")[0]["replayed"] == 0
+    assert not any(world(ahead))
 
 
 @pytest.mark.parametrize("initial", ["report", "assume_free"])
