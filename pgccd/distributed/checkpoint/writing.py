@@ -54,7 +54,7 @@ class CheckpointWriter:
 
     def begin(
         self, steps_made: int, header: Mapping[str, Any], tables: Mapping[str, Columns], partition: Partition
-    ) -> None:
+    ) -> Path:
         """Starts to write; returns once the rows have been copied. Waits for the previous checkpoint first.
 
         Args:
@@ -62,6 +62,9 @@ class CheckpointWriter:
             header: everything else, as JSON; equal on all ranks.
             tables: this rank's rows, as columns by name; names, dtypes and row shapes are equal on all ranks.
             partition: of space; equal on all ranks.
+
+        Returns:
+            The folder of the checkpoint, which `finish` makes the newest one.
 
         Raises:
             CheckpointError: the previous one, or the folder of this one, could not be written.
@@ -89,23 +92,21 @@ class CheckpointWriter:
         thread = threading.Thread(target=work, name="pgccd-checkpoint", daemon=True)
         self._writing = done, thread
         thread.start()
+        return self._root / name
 
-    def finish(self) -> Path | None:
-        """Waits until the last checkpoint is complete.
-
-        Returns:
-            Its folder; None if no checkpoint is being written.
+    def finish(self) -> None:
+        """Waits until the last checkpoint is complete, if one is being written.
 
         Raises:
             CheckpointError, RuntimeError: it could not be written; on all ranks.
         """
         writing, self._writing = self._writing, None
         if writing is None:
-            return None
+            return
         done, thread = writing
         with self._comm.guard.waiting("checkpoint", may_last=True) if self._comm.size > 1 else nullcontext():
             try:
-                return done.result()
+                done.result()
             finally:
                 if done.done():
                     # It still frees its copies of the rows. If Python exited meanwhile, it would end the thread in the

@@ -52,6 +52,7 @@ class WorldState:
     dtype: str = "float64"  #: of the positions as they were given
     next_id: int = 0  #: larger than all ids that bodies have had
     exclude: Tensor | None = None  #: (E, 2) ids i < j, sorted: pairs never tested, of all ranks; None without any
+    header: dict[str, Any] | None = None  #: of the user, in the checkpoint that was loaded
 
     def with_ids(self, comm: Comm, are_given: bool) -> WorldState:
         """This state with unique ids; ids that were not given become consecutive from `next_id` on, rank by rank.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from os import PathLike
@@ -53,7 +53,7 @@ from pgccd.distributed.world.resolve import (
     vertices_of,
 )
 from pgccd.distributed.world.state import WorldState, agreed_partition, require_alike, state_given
-from pgccd.distributed.world.world_checkpoint import load_state, save_state
+from pgccd.distributed.world.world_checkpoint import Saving, load_state, save_state
 from pgccd.geometry.mesh import Mesh
 from pgccd.geometry.scene import Scene
 from pgccd.geometry.scene_columns import bool_column
@@ -86,6 +86,7 @@ class World(OwnBodies):
             own steps.
         next_id: larger than all ids that bodies of this world have had; new bodies may have this one or larger ones.
         found: pairs and contacts of the last step; None before the first.
+        header: as passed to `save` for the checkpoint that the world was loaded from; None without one.
 
     Example:
         >>> world = pgccd.distributed.World.create([rock], (0, 0, 0), (9, 9, 9), x, payload={"velocity": v}, comm=comm)
@@ -113,7 +114,8 @@ class World(OwnBodies):
         self.found: Share | None = None
         self.steps_made, self._seconds = state.steps_made, 0.0
         self.columns, self._vertices, self.next_id = state.columns, state.vertices, state.next_id
-        self._resolution_plan = ResolutionPlan()
+        self._resolution_plan, self.header = ResolutionPlan(), state.header
+        self._saving: Saving | None = None
 
     @classmethod
     @collective
@@ -250,7 +252,14 @@ class World(OwnBodies):
         return cls._begin(comm, options, balance, path, state)
 
     @collective
-    def save(self, folder: str | PathLike[str], keep: int = KEEP) -> Path:
+    def save(
+        self,
+        folder: str | PathLike[str],
+        keep: int = KEEP,
+        *,
+        header: Mapping[str, Any] | None = None,
+        wait: bool = True,
+    ) -> Path:
         """Writes a checkpoint between two steps, which `load` reads on any number of ranks. All but the newest
         checkpoints are removed once this one is complete.
 
@@ -258,19 +267,40 @@ class World(OwnBodies):
             folder: shared by all ranks, for checkpoints of one world. It is created if needed, and locked against other
                 jobs while this method runs.
             keep: number of checkpoints to keep, this one included: the newest ones.
+            header: values of the caller, plain (as JSON has them) and equal on all ranks: `load` makes them the
+                attribute `header`.
+            wait: False: returns once the bodies have been copied to host memory, and writes during the following steps.
+                `finish_saving` waits until the checkpoint is complete; the next call of `save` does so first. Until
+                then the previous checkpoint is the newest one, also if this process ends.
 
         Returns:
             The folder of the checkpoint, inside `folder`.
 
         Raises:
-            CheckpointError: it cannot be written; the previous one is kept; on all ranks.
+            CheckpointError: it cannot be written, or the one before could not be; the previous one is kept; on all
+                ranks.
             ValueError, TypeError: naming the argument; the folder is locked by another job, or is not visible to a
                 rank; on all ranks.
 
         Example:
             >>> world.save("out/world")
         """
-        return save_state(self.comm, folder, self._state, keep)
+        self.finish_saving()
+        written, self._saving = save_state(self.comm, folder, self._state, keep, header)
+        if wait:
+            self.finish_saving()
+        return written
+
+    @collective
+    def finish_saving(self) -> None:
+        """Waits until the checkpoint that `save(wait=False)` began is complete. Without one it does nothing.
+
+        Raises:
+            CheckpointError: it cannot be written; the previous one is kept; on all ranks.
+        """
+        saving, self._saving = self._saving, None
+        if saving is not None:
+            saving.finish()
 
     @property
     def _state(self) -> WorldState:

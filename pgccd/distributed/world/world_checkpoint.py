@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
@@ -32,15 +34,35 @@ from pgccd.geometry.scene import OPTIONAL_COLUMNS
 KIND = "world"
 _BODIES, _VERTICES, _COUNT = "bodies", "vertices", "vertex_count"
 _EXCLUDE, _PAIR = "exclude", "pair"
+_HEADER = "of_user"
 _REQUIRED = ("id", "mesh_index", "position")
 _KNOWN = (*_REQUIRED, *OPTIONAL_COLUMNS, "self_collision", _COUNT)
 
 
-def save_state(comm: Comm, folder: str | PathLike[str], state: WorldState, keep: int) -> Path:
-    """Writes a checkpoint from all ranks, and makes it the newest one in a folder; see `World.save`."""
+class Saving:
+    """A checkpoint that all ranks write in the background, while its folder stays locked.
+
+    Args:
+        writer: has begun to write it.
+        lock: holds the folder.
+    """
+
+    def __init__(self, writer: CheckpointWriter, lock: ExitStack) -> None:
+        self._writer, self._lock = writer, lock
+
+    def finish(self) -> None:
+        """Waits until it is complete, and releases the folder; raises as of `CheckpointWriter.finish`."""
+        with self._lock:
+            self._writer.finish()
+
+
+def save_state(
+    comm: Comm, folder: str | PathLike[str], state: WorldState, keep: int, header: Mapping[str, Any] | None
+) -> tuple[Path, Saving]:
+    """Starts to write a checkpoint, which becomes the newest one in a folder; see `World.save`. Returns its folder."""
     root = _folder_given(comm, folder)
-    keep = together(comm, lambda: checked_keep(keep))
-    require_agreement(comm, {"keep": keep})
+    keep, plain = together(comm, lambda: (checked_keep(keep), _plain(header)))
+    require_agreement(comm, {"keep": keep, "header": plain})
     tables = {_BODIES: state.columns}
     if state.vertices is not None:
         tables[_VERTICES] = state.vertices.columns
@@ -48,13 +70,13 @@ def save_state(comm: Comm, folder: str | PathLike[str], state: WorldState, keep:
         tables[_EXCLUDE] = {_PAIR: state.exclude[comm.rank :: comm.size]}
     cut = {"partition": state.cut.partition, "axes": int(state.cut.axes), "cells": state.cut.cells}
     cut |= {"lower": [float(x) for x in state.cut.lower], "upper": [float(x) for x in state.cut.upper]}
-    header = {"meshes": meshes_digest(state.meshes.meshes), "cut": cut, "next_id": state.next_id}
-    with hold_together(comm, root):
+    index = {"meshes": meshes_digest(state.meshes.meshes), "cut": cut, "next_id": state.next_id}
+    index |= {} if plain is None else {_HEADER: json.loads(plain)}
+    with ExitStack() as stack:
+        stack.enter_context(hold_together(comm, root))
         writer = CheckpointWriter(comm, root, KIND, keep)
-        writer.begin(state.steps_made, header, tables, state.partition)
-        written = writer.finish()
-    assert written is not None
-    return written
+        written = writer.begin(state.steps_made, index, tables, state.partition)
+        return written, Saving(writer, stack.pop_all())
 
 
 def load_state(
@@ -103,7 +125,23 @@ def load_state(
     if next_id < state.next_id:
         problem = f"there is an id {state.next_id - 1}, but the next one is {next_id}"
         raise of_all_ranks(CheckpointError(f"{stored.folder} is not the checkpoint of a world: {problem}"))
-    return replace(state, partition=partition, steps_made=stored.steps_made, next_id=next_id)
+    header = stored.header.get(_HEADER)
+    if not isinstance(header, dict | None):
+        raise of_all_ranks(CheckpointError(f"{stored.folder} is not the checkpoint of a world: {_HEADER}"))
+    return replace(state, partition=partition, steps_made=stored.steps_made, next_id=next_id, header=header)
+
+
+def _plain(header: Mapping[str, Any] | None) -> str | None:
+    """The header as JSON, from which it is read back as it was given."""
+    if header is None:
+        return None
+    try:
+        if isinstance(header, Mapping) and json.loads(text := json.dumps(dict(header), allow_nan=False)) == header:
+            return text
+    except (TypeError, ValueError):  # not plain, or not finite
+        pass
+    expected = "a dictionary of plain values (strings, finite numbers, bools, None, lists, dictionaries by string)"
+    raise TypeError(f"header: expected {expected}, got {arguments.describe(header)}")
 
 
 def _folder_given(comm: Comm, folder: str | PathLike[str]) -> Path:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import threading
 import time
 from concurrent.futures import Future
@@ -17,7 +18,7 @@ from support.ranks import RankPool, to_all
 import pgccd
 from distributed.world import test_motions
 from distributed.world.test_motions import REPORTS, STEPS, alone, require_equal, rows_of, spread, vertices_of
-from pgccd.checkpoint.files import FOLDER
+from pgccd.checkpoint.files import FOLDER, CheckpointError
 from pgccd.distributed import Alone, BalanceOptions, Comm, World
 from pgccd.distributed.checkpoint import writing
 from pgccd.distributed.comm.exchange import take_rows
@@ -25,6 +26,7 @@ from pgccd.distributed.comm.exchange import take_rows
 CPU = torch.device("cpu")
 EAGER = BalanceOptions("cost", start=0.0, goal=0.0, moving=0.0, deciding=0.0)
 LOOP, SAVED = 6, 3  # steps of the loop, and before the checkpoint
+HEADER = {"made by": "a loop", "lengths": [1.0, 2.5]}
 CROWD = "kept apart, filtered"
 
 
@@ -88,7 +90,8 @@ def go_on(world: World, save: str = "") -> list[Any]:
         contacts = sum(to_all(world.comm, numbers([hits.pairs, hits.toi])), [])
         seen.append((sorted({tuple(row) for row in contacts}), state_of(world)))
         if save and step + 1 == SAVED:
-            world.save(save)
+            world.save(save, header=HEADER, wait=False)
+    world.finish_saving()
     return seen
 
 
@@ -102,6 +105,7 @@ def save_on_the_way(comm: Comm, folder: str, partition: str) -> list[Any]:
 
 def load_and_go_on(comm: Comm, folder: str, partition: str, saved_by: int) -> list[Any]:
     world = load(comm, folder)
+    assert world.header == HEADER
     kept, name = world.partition, "owner" if partition == "cells" else "planes"
     is_uniform = torch.equal(getattr(kept, name), getattr(begin(comm, partition).partition, name))
     assert is_uniform == (comm.size != saved_by or comm.size == 1)
@@ -231,6 +235,63 @@ def few(comm: Comm, folder: str, count: int) -> list[int]:
 @pytest.mark.parametrize("size", [1, 3])
 def test_few_bodies(ranks: RankPool, tmp_path: Path, count: int, size: int) -> None:
     assert sorted(sum(ranks.run(size, few, str(tmp_path), count), [])) == list(range(count))
+
+
+def test_saving_in_the_background(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is saved are the columns at the call; until it is complete, the one before stays the newest."""
+    world, may_write = begin(Alone()), threading.Event()
+    world.save(tmp_path, header={"step": 0})
+    write = writing.files.write_tables
+
+    def write_later(*given: Any) -> Any:
+        assert may_write.wait(60.0)
+        return write(*given)
+
+    monkeypatch.setattr(writing.files, "write_tables", write_later)
+    before = world.position.clone()
+    folder = world.save(tmp_path, keep=2, header={"step": [1, 2.5, None, {"a": "b"}]}, wait=False)
+    world.position.add_(1.0)
+    world.steps_made = 7
+    with pytest.raises(ValueError, match="in use"):
+        begin(Alone()).save(tmp_path)
+    other = shutil.copytree(tmp_path, tmp_path.parent / "copy")
+    assert load(Alone(), other).header == {"step": 0}
+    may_write.set()
+    world.finish_saving()
+    loaded = load(Alone(), tmp_path)
+    assert loaded.header == {"step": [1, 2.5, None, {"a": "b"}]} and torch.equal(loaded.position, before)
+    assert folder.is_dir() and loaded.steps_made == 0
+    world.finish_saving()  # nothing is left to do
+
+
+def test_a_failure_in_the_background_is_raised_by_the_next_call(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    world = begin(Alone())
+    with monkeypatch.context() as patch:
+        patch.setattr(writing.files, "write_tables", lambda *_: 1 / 0)
+        world.save(tmp_path, wait=False)
+        with pytest.raises(CheckpointError, match="cannot be written: division by zero"):
+            world.save(tmp_path, wait=False)
+    world.save(tmp_path)
+    assert load(Alone(), tmp_path).header is None
+
+
+@pytest.mark.parametrize(
+    "header", [[1], {"a": torch.ones(1)}, {"a": float("inf")}, {1: 2}, {"a": (1, 2)}, "text"], ids=str
+)
+def test_headers_that_could_not_be_read_back(tmp_path: Path, header: Any) -> None:
+    with pytest.raises(TypeError, match="^header: expected a dictionary of plain values"):
+        begin(Alone()).save(tmp_path, header=header)
+
+
+def different_headers(comm: Comm, folder: str) -> None:
+    with pytest.raises(ValueError, match="header"):
+        begin(comm).save(folder, header={"rank": comm.rank})
+
+
+def test_ranks_save_equal_headers(ranks: RankPool, tmp_path: Path) -> None:
+    ranks.run(2, different_headers, str(tmp_path))
 
 
 def test_columns_that_share_memory(tmp_path: Path) -> None:
