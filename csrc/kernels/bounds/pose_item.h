@@ -3,6 +3,7 @@
 
 #include <cmath>
 
+#include "core/paths.h"
 #include "core/rotation.h"
 #include "kernels/bounds/validation.h"
 
@@ -37,13 +38,6 @@ PGCCD_HD void pose_at(const RigidPoses& poses, int64_t row, double* position, do
   const Quaternion now = turn * normalized(load_quaternion(poses.orientation + 4 * row));
   orientation[4 * row] = now.w;
   store_vec3(orientation + 4 * row + 1, now.v);
-}
-
-// The point at a fraction of a straight path: exactly its ends at 0 and 1. `start` may be at rest before an invalid
-// end.
-PGCCD_HD double point_on_path(double fraction, double start, double end) {
-  if (fraction == 1.0) return end;
-  return fraction == 0.0 ? start : start + fraction * (end - start);
 }
 
 // The first part of a body's arc: where it ends, and its rotation.

@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "core/paths.h"
 #include "core/platform.h"
 #include "kernels/device_context.h"
 #include "kernels/executor.h"
@@ -19,7 +20,6 @@ enum class RowCheck : int32_t {
 };
 
 // Limits of the columns of motions and scenes.
-constexpr double kLargestCoordinate = 1e150;  // squares of larger numbers overflow
 constexpr double kUnitTolerance = 1e-3;
 constexpr double kLargestTurn = 1e6;  // error bounds of sine and cosine are proven up to it
 

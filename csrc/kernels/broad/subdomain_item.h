@@ -1,7 +1,7 @@
 // The box of a body, and the parts of space that it reaches.
 #pragma once
 
-#include "kernels/bounds/validation.h"
+#include "core/paths.h"
 #include "kernels/broad/space_partition.h"
 
 namespace pgccd {
@@ -162,8 +162,10 @@ PGCCD_HD bool is_leaving(const Subdomain& subdomain, const BodyPositions& bodies
 }
 
 PGCCD_HD bool has_invalid_position(const BodyPositions& bodies, int64_t body) {
-  const RowColumn position{bodies.position, bodies.count, 3, RowCheck::kMagnitude, kLargestCoordinate};
-  return is_body(bodies, body) && is_invalid(position, body);
+  const Vec3<double> position = load_vec3(bodies.position + 3 * body);
+  const bool is_valid = std::fabs(position.x) <= kLargestCoordinate && std::fabs(position.y) <= kLargestCoordinate &&
+                        std::fabs(position.z) <= kLargestCoordinate;
+  return is_body(bodies, body) && !is_valid;  // NaN is invalid
 }
 
 }  // namespace pgccd

@@ -2,7 +2,7 @@
 #pragma once
 
 #include "core/bodies.h"
-#include "kernels/bounds/pose_item.h"
+#include "core/paths.h"
 #include "kernels/padded_pairs.h"
 
 namespace pgccd {
