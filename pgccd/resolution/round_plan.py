@@ -13,8 +13,9 @@ from pgccd.runtime.sizes import BufferSizes, Counts
 _FIRST_ROUNDS = 4
 # Number of recent steps considered.
 _RECENT_STEPS = 8
-# Capacity relative to what a round needed in the last step.
+# Capacity relative to what a round needed in the last step, and before any is known.
 _SLACK = 2.0
+_FIRST_CAPACITY = BufferSizes(0, 0).times(1.0)
 
 # A graph has more rounds of collision resolution than any recent step took: the step that needs one more is repeated,
 # and another graph captured, which takes as long as several hundred superfluous rounds.
@@ -51,7 +52,7 @@ class RoundPlan:
             capacities = [capacity.times(_SLACK) for capacity in self._needed()]
             self._needed, self._capacities[: len(capacities)] = None, capacities
         if not self._capacities:
-            return BufferSizes(0, 0).times(1.0)
+            return _FIRST_CAPACITY
         return self._capacities[min(round, len(self._capacities) - 1)]
 
     def grow(self, round: int, counts: Counts) -> None:
@@ -60,8 +61,10 @@ class RoundPlan:
         capacities[round] = capacities[round].grown(counts.needed(capacities[round]))
         self._capacities = capacities
 
-    def learn(self, rounds: int, needed: Callable[[], Sequence[BufferSizes]]) -> None:
-        """Records a step's rounds. The capacities are computed in the next step, while the host is idle."""
+    def learn(self, rounds: int, needed: Callable[[], Sequence[BufferSizes]] | None) -> None:
+        """Records a step's rounds. The capacities are computed in the next step, while the host is idle; None: a CPU
+        needs none.
+        """
         self._recent.append(rounds)
         self._needed = needed
 

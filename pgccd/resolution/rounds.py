@@ -352,7 +352,8 @@ class Attempt:
             made += of_new_rounds
             if not all(went_on):
                 rounds = went_on.index(False)
-                self.plan.learn(rounds, partial(_needed, made[:rounds], self.capacities))
+                needed = partial(_needed, made[:rounds], self.capacities)
+                self.plan.learn(rounds, None if self._device.type == "cpu" else needed)
                 resolution = Fractions(self.fraction, rounds, int(secondary_contacts[exchange.rank]))
                 gathered = gathered._replace(secondary_contacts=secondary_contacts)
                 return ResolvedStep(resolution, gathered, numbers[:, end:], self._learning(of_passes))
