@@ -139,7 +139,8 @@ def validations(comm: Comm) -> tuple[int, int]:
     mine = torch.arange(comm.rank, 60, comm.size)
     position = torch.rand((60, 3), dtype=torch.float64, generator=torch.Generator().manual_seed(5))[mine]
     mesh = pgccd.Mesh(0.05 * torch.eye(4, 3).double(), [[0, 1, 2], [0, 3, 1], [1, 3, 2], [0, 2, 3]])
-    world = SharedWorld.create([mesh], (0.0,) * 3, (1.0,) * 3, position, id=mine, comm=comm)
+    scene = pgccd.Scene([mesh], [0] * len(mine))
+    world = SharedWorld.create(scene, position, (0.0,) * 3, (1.0,) * 3, id=mine, comm=comm)
     turn = torch.eye(4).double()[:1].repeat(len(world.id), 1)
     motion = pgccd.RigidMotion.from_velocity(world.position, turn, turn[:, :3], turn[:, :3], dt=0.1)
     with mock.patch.object(moving.ops, "sound_radii", wraps=moving.ops.sound_radii) as checked:
