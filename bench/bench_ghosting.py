@@ -59,7 +59,7 @@ def count(
     x, y, z = model.half_extent
     partition = Cells.uniform((-x, -y, -z), (x, y, z), ranks, cells=arguments.cells)
     centres = bodies.position_t0, bodies.position_t1, bodies.radius
-    lower, upper = ops.swept_boxes(*centres, 0.0, 0.0)
+    lower, upper = ops.swept_boxes(centres, 0.0, 0.0)
     # Largest distance of a box's faces from the centre that determines the owner.
     extent = float(torch.maximum(upper - bodies.position_t0, bodies.position_t0 - lower).max())
     owner, pairs = partition.owner_of(bodies.position_t0), broad.find_pairs(bodies)

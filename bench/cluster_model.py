@@ -210,7 +210,7 @@ class Counts:
         centre = partition.cell_of(motion.position_t0)
         self.bodies += torch.bincount(centre, minlength=partition.cell_count)
         owner = partition.owner[centre]
-        first, last = (partition.cell_of(corner) for corner in ops.swept_boxes(*centres, 0.0, 0.0))
+        first, last = (partition.cell_of(corner) for corner in ops.swept_boxes(centres, 0.0, 0.0))
         for rows in torch.nonzero(first != last)[:, 0].split(max(1, _BLOCK // ranks)):
             reached, _ = ops.replica_ranks(centres, 0.0, 0.0, *partition.subdomain(0), rows, [], ranks)
             if ranks > 1:  # the operator omits the calling rank

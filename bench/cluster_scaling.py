@@ -138,7 +138,8 @@ def start(
     balance = distributed.BalanceOptions(arguments.balance)
     graph = False if arguments.no_graph else None
     overlap = not arguments.no_overlap
-    return sim.Simulation.create(comm, model, partition, share, balance, overlap, graph=graph)
+    options = distributed.RankOptions(balance=balance, overlap=overlap)
+    return sim.Simulation.create(comm, model, partition, share, options, graph)
 
 
 def follow(

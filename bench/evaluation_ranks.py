@@ -52,7 +52,8 @@ def measure_simulation(comm: distributed.Comm, case: Case, steps: Steps, given: 
     mine = {name: column[comm.rank :: comm.size].to(device) for name, column in given["start"].items()}
     policy = _POLICIES[case.system]
     balance = distributed.BalanceOptions(policy, threshold=case.threshold)
-    simulation = sim.Simulation.create(comm, model, partition, sim.RobotState(**mine), balance)
+    options = distributed.RankOptions(balance=balance)
+    simulation = sim.Simulation.create(comm, model, partition, sim.RobotState(**mine), options)
     made, ends = [], []
     comm.barrier()
     end = steps.before + steps.settling + steps.timed

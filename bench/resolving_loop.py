@@ -113,8 +113,10 @@ def measure_world(
     made = []
     for way in ("graph", "eager") if world.position.is_cuda else ("eager",):
         low, high = (-world.half_extent,) * 3, (world.half_extent,) * 3
-        given: dict[str, Any] = {"payload": world.payload, "initial": initial, "nonzero_toi": True}
-        bodies = distributed.World.create(world.meshes, low, high, world.position, **given)
+        scene = pgccd.Scene(world.meshes, torch.arange(len(world.position)) % len(world.meshes), world.position.device)
+        options = distributed.WorldOptions(initial=initial, nonzero_toi=True)
+        given: dict[str, Any] = {"payload": world.payload, "options": options}
+        bodies = distributed.World.create(scene, world.position, low, high, **given)
         loop = distributed.CapturedWorld(
             bodies, world.motion, world.response, way == "graph", resolve=True, tally=_stopped
         )

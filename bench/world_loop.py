@@ -65,8 +65,10 @@ def measure(
     payload = {"orientation": planned.orientation, "velocity": planned.velocity, "spin": planned.angular_velocity}
     x, y, z = model.half_extent
     box = (-x, -y, -z), (x, y, z)
-    given: dict[str, Any] = {"id": planned.id, "payload": payload, "comm": comm, "nonzero_toi": True}
-    world = distributed.World.create(model.meshes.meshes, *box, planned.position, **given)
+    scene, options = model.scene(planned.id), distributed.WorldOptions(nonzero_toi=True)
+    world = distributed.World.create(
+        scene, planned.position, *box, id=planned.id, payload=payload, comm=comm, options=options
+    )
     loop = distributed.CapturedWorld(world, motion, functools.partial(response, comm), graph)
     loop.run(20)
     comm.barrier()

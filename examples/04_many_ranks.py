@@ -44,11 +44,11 @@ def create_world(comm: distributed.Comm) -> distributed.World:
     share, device = torch.arange(1000)[comm.rank :: comm.size], distributed.choose_device(name)
     columns = {"orientation": orientation, "velocity": velocity, "spin": spin}
     return distributed.World.create(
-        [box],
+        pgccd.Scene([box], torch.zeros_like(share), device),
+        position[share].to(device),
         (0.0, 0.0, 0.0),
         (13.5, 13.5, 13.5),
-        position[share].to(device),
-        id=share,
+        id=share.to(device),
         payload={key: column[share].to(device) for key, column in columns.items()},
         comm=comm,
     )

@@ -102,13 +102,11 @@ def changes(hits: pgccd.Contacts) -> torch.Tensor:
 with distributed.connect(name) as comm:
     share, device = torch.arange(comm.rank, len(position), comm.size), distributed.choose_device(name)
     world = distributed.World.create(
-        meshes,
+        pgccd.Scene(meshes, mesh_index[share], device, static=static[share]),
+        position[share].to(device),
         (0.0, 0.0, 0.0),
         (width, width, 6.4),
-        position[share].to(device),
         id=share.to(device),
-        mesh_index=mesh_index[share].to(device),
-        static=static[share].to(device),
         payload={key: column[share].to(device) for key, column in columns.items()},
         comm=comm,
     )

@@ -273,8 +273,7 @@ def _print_run(finished: sim.Run, folder: Path, options: argparse.Namespace) -> 
 
 def _run_or_resume(options: argparse.Namespace, device: torch.device, comm: distributed.Comm) -> tuple[sim.Run, Path]:
     out = options.out or Path("out/simulate")
-    settings: dict[str, Any] = {"device": device, "broad_phase": options.broad_phase}
-    settings |= {"checkpoint_every": options.checkpoint_every, "keep": options.keep}
+    settings: dict[str, Any] = {"device": device, "checkpoint_every": options.checkpoint_every, "keep": options.keep}
     settings |= {"comm": comm, "options": command.rank_options(options)}
 
     def kept(config: sim.ModelConfig) -> int:

@@ -138,13 +138,15 @@ def namespace(module: str) -> dict[str, Any]:
         payload = {"velocity": names["v"]}
         if module == "pgccd.distributed.world.loop":
             payload |= {"q": names["q0"], "v": names["v"], "w": names["w"]}
-        names["world"] = distributed.World.create([names["rock"]], (0, 0, 0), (9, 9, 9), names["x"], payload=payload)
+        rocks = pgccd.Scene([names["rock"]], [0, 0])
+        names["world"] = distributed.World.create(rocks, names["x"], (0, 0, 0), (9, 9, 9), payload=payload)
     if module == "pgccd.search.narrow":
         names |= dict.fromkeys(("x0", "x1"), torch.rand(5, 4, 3))
     if module == "pgccd.runtime.stages":
         names |= of_robots() | {"step": 0}
     if module == "pgccd.distributed.comm.interface":
-        names |= {"lower": (0, 0, 0), "upper": (9, 9, 9), "position": torch.zeros(1, 3)}
+        names |= {"scene": pgccd.Scene([names["mesh"]]), "position": torch.zeros(1, 3)}
+        names |= {"lower": (0, 0, 0), "upper": (9, 9, 9)}
     options = type("Options", (), {"robots": 9})
     return names | vars(sys.modules[module]) | {"options": options, "digest": "0"}
 

@@ -91,7 +91,8 @@ def calls(folder: Path) -> dict[str, Call]:
     np.savez(folder / "poses.npz", **{n: c.numpy() for n, c in poses.items()}, orientation_t1=poses["orientation_t0"])
     np.savez(folder / "rollout.npz", position=np.zeros((3, 2, 3)), orientation=np.zeros((3, 2, 4)))
     filters: dict[str, Any] = dict.fromkeys(("group", "mask", "world"), [0, 1]) | {"static": [False, True]}
-    world = distributed.World.create([mesh], (0, 0, 0), (9, 9, 9), motion.position_t0, payload={"v": torch.ones(2, 3)})
+    box = (0, 0, 0), (9, 9, 9)
+    world = distributed.World.create(scene, motion.position_t0, *box, payload={"v": torch.ones(2, 3)})
     world.save(folder / "saved")
     hits = pgccd.detect(scene, motion)
     rollout = pgccd.Trajectory(*(torch.stack(ends) for ends in zip(motion.at(0.0), motion.at(1.0), strict=True)))
@@ -103,25 +104,17 @@ def calls(folder: Path) -> dict[str, Call]:
         return {"position": bodies.position}
 
     config = {field: getattr(sim.ModelConfig(), field) for field in sim.ModelConfig.__dataclass_fields__}
-    all_worlds = {"meshes": [mesh], "lower": (0, 0, 0), "upper": (9, 9, 9), "position": motion.position_t0}
-    all_worlds |= {
-        "exclude": [[0, 1]],
-        "id": torch.arange(2),
-        "mesh_index": [0, 0],
-        **filters,
-        "margin": [0.0, 0.1],
-        "payload": {},
-        "vertex_payload": {},
-        "partition": "auto",
-        "self_collision": [False, True],
-        **options,
-        **initial,
-    }
-    added = {
-        name: all_worlds[name] for name in ("position", "mesh_index", *filters, "margin", "self_collision", "exclude")
-    }
-    added |= {"id": torch.arange(2, 4), "payload": {"v": torch.ones(2, 3)}, "vertex_payload": {}}
-    all_worlds |= {"report": "first", "broad_phase": "auto", "path": "rigid", "axes": 3, "cells": 16, "overlap": True}
+    new = {"scene": scene, "position": motion.position_t0, "exclude": [[0, 1]]}
+    added = new | {"id": torch.arange(2, 4), "payload": {"v": torch.ones(2, 3)}, "vertex_payload": {}}
+    of_world = {"report": "first", "broad_phase": "auto", "path": "rigid", "axes": 3, "cells": 16, "overlap": True}
+    of_world |= {"partition": "auto", **options, **initial}
+    all_worlds = new | dict(zip(("lower", "upper"), box, strict=True))
+    all_worlds |= {"id": torch.arange(2), "payload": {}, "vertex_payload": {}, "options": distributed.WorldOptions()}
+
+    def create_with(**chosen: Any) -> distributed.World:
+        options = distributed.WorldOptions(**chosen)
+        return distributed.World.create(scene, motion.position_t0, *box, options=options)
+
     return {
         "Mesh": Call(
             pgccd.Mesh,
@@ -295,9 +288,8 @@ def calls(folder: Path) -> dict[str, Call]:
             pgccd.integrate_orientation, {"orientation": motion.orientation_t0, "rotation": motion.rotation}
         ),
         "sim.ModelConfig": Call(sim.ModelConfig, config),
-        "distributed.World.create": Call(
-            distributed.World.create, all_worlds, {"position": ("mesh_index", "group", "id"), "mesh_index": ("group",)}
-        ),
+        "distributed.World.create": Call(distributed.World.create, all_worlds),
+        "distributed.WorldOptions": Call(create_with, of_world),
         "distributed.World.step": Call(
             world.step,
             {"motion": motion, "payload": ("v", "position"), "resolve": True, "movable": [True, False]},
@@ -309,20 +301,13 @@ def calls(folder: Path) -> dict[str, Call]:
             world.sum_per_body, {"hits": hits, "values": torch.ones(len(hits), 2)}, {"hits": ("values",)}
         ),
         # The ids have been used after the first call.
-        "distributed.World.add": Call(
-            world.add,
-            added,
-            dict.fromkeys(added, ("id",))
-            | {"position": ("id", "mesh_index", "group", "payload"), "mesh_index": ("id", "group")},
-        ),
+        "distributed.World.add": Call(world.add, added, dict.fromkeys(added, ("id",))),
         "distributed.World.remove": Call(world.remove, {"ids": torch.tensor([1])}),
         "distributed.World.move": Call(world.move, {"position": motion.position_t0, "v": torch.ones(2, 3)}),
         "distributed.World.save": Call(world.save, {"folder": folder / "saved", "keep": 2}),
         "distributed.World.load": Call(
             distributed.World.load,
-            {"folder": folder / "saved", "meshes": [mesh], "device": "cpu", "report": "first", **options}
-            | initial
-            | {"broad_phase": "auto", "path": "rigid", "overlap": True},
+            {"folder": folder / "saved", "meshes": [mesh], "device": "cpu", "options": distributed.WorldOptions()},
         ),
         "distributed.CapturedWorld": Call(
             distributed.CapturedWorld,

@@ -50,7 +50,7 @@ q = torch.tensor([[1.0, 0, 0, 0]] * 2)
 motion = pgccd.RigidMotion.from_velocity(x, q, v, 0.1 * v, 1.0)
 path = pgccd.Trajectory(torch.stack([x, x + v]), torch.stack([q, q]))
 wanting = pgccd.RigidMotion(x.double().requires_grad_(), q.double(), (x + v).double(), q.double())
-world = lambda: distributed.World.create([pgccd.Mesh.box([1.0, 1.0, 1.0])], (0,) * 3, (6,) * 3, x.double() + 1.0)
+world = lambda: distributed.World.create(scene, x.double() + 1.0, (0,) * 3, (6,) * 3)
 calls = {{
     **{{report: lambda r=report: pgccd.detect(scene, motion, r) for report in ("first", "all", "earliest")}},
     "collide": lambda: pgccd.collide(scene, motion),

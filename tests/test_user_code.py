@@ -156,13 +156,13 @@ def test_world() -> None:
     scene, motion = two_bodies()
     comm = distributed.Alone()
     world = distributed.World.create(
-        scene.meshes.meshes,
+        scene,
+        motion.position_t0,
         (-1.0, -1.0, -1.0),
         (4.0, 2.0, 2.0),
-        motion.position_t0,
         payload={"orientation": motion.orientation_t0, "velocity": motion.position_t1 - motion.position_t0},
         comm=comm,
-        min_separation=1e-3,
+        options=distributed.WorldOptions(min_separation=1e-3),
     )
     for _ in range(4):
         mine = world.payload
@@ -182,27 +182,23 @@ def test_world() -> None:
 def test_world_of_pairs() -> None:
     scene, motion = two_bodies()
     box = (-1.0, -1.0, -1.0), (4.0, 2.0, 2.0)
-    world = distributed.World.create(scene.meshes.meshes, *box, motion.position_t0)
+    world = distributed.World.create(scene, motion.position_t0, *box)
     assert_type(world.collide(motion), pgccd.CollidingPairs)
     assert world.collide(motion).pairs.tolist() == world.collide(waypoints()).pairs.tolist() == [[0, 1]]
     with pytest.raises(ValueError, match='^report: "any" is a call of its own: World.collide finds the pairs'):
-        distributed.World.create(scene.meshes.meshes, *box, motion.position_t0, report="any")  # type: ignore[arg-type]
+        options = distributed.WorldOptions(report="any")  # type: ignore[arg-type]
+        distributed.World.create(scene, motion.position_t0, *box, options=options)
 
 
 def test_worlds_are_made_by_create() -> None:
     scene, motion = two_bodies()
     with pytest.raises(
-        TypeError, match=r"^World: it is made by World.create\(meshes, lower, upper, position, ...\) or "
+        TypeError, match=r"^World: it is made by World.create\(scene, position, lower, upper, ...\) or "
     ):
         distributed.World(scene.meshes.meshes)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match=r"^report: expected one of \['first', 'all', 'earliest'\], got 'some'$"):
-        distributed.World.create(
-            scene.meshes.meshes,
-            (0.0, 0.0, 0.0),
-            (1.0, 1.0, 1.0),
-            motion.position_t0,
-            report="some",  # type: ignore[arg-type]
-        )
+        options = distributed.WorldOptions(report="some")  # type: ignore[arg-type]
+        distributed.World.create(scene, motion.position_t0, (0.0, 0.0, 0.0), (1.0, 1.0, 1.0), options=options)
 
 
 def test_stages() -> None:

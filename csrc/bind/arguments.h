@@ -8,6 +8,7 @@
 #include <torch/headeronly/util/Exception.h>
 
 #include <algorithm>
+#include <cstring>
 #include <initializer_list>
 #include <optional>
 #include <type_traits>
@@ -22,6 +23,7 @@ namespace pgccd::bind {
 using torch::headeronly::ScalarType;
 using torch::stable::Tensor;
 using TensorList = std::vector<Tensor>;
+using OptionalTensorList = std::vector<std::optional<Tensor>>;
 
 constexpr int64_t kAnySize = -1;
 
@@ -65,6 +67,16 @@ const Row* rows(const Tensor& tensor, const char* name, std::initializer_list<in
 template <class Element>
 const Element* optional_column(const std::optional<Tensor>& tensor, const char* name, int64_t count) {
   return tensor ? rows<Element>(*tensor, name, {count}) : nullptr;
+}
+
+// A list of numbers as a struct of such numbers.
+template <class Fields, class Number>
+Fields fields_of(const std::vector<Number>& numbers, const char* name) {
+  constexpr size_t kCount = sizeof(Fields) / sizeof(Number);
+  STD_TORCH_CHECK(numbers.size() == kCount, name, ": expected ", kCount, " values, got ", numbers.size());
+  Fields fields;
+  std::memcpy(&fields, numbers.data(), sizeof(Fields));
+  return fields;
 }
 
 // Checks that rows of meshes are consecutive and within the columns. Other contents (corners of faces, children of
@@ -186,34 +198,40 @@ inline BroadPhaseChoice broad_phase_choice(int64_t broad_phase, int64_t axis) {
   return {static_cast<BroadPhase>(broad_phase), static_cast<int>(axis)};
 }
 
-inline BroadBodies broad_view(const Tensor& position_t0, const Tensor& position_t1, const Tensor& radius,
-                              const std::optional<Tensor>& group, const std::optional<Tensor>& mask,
-                              const std::optional<Tensor>& world, const std::optional<Tensor>& is_static,
-                              const std::optional<Tensor>& in_other_search, const std::optional<Tensor>& boxes,
-                              const KeptDistance& kept) {
+inline BroadBodies spheres_view(const Tensor& position_t0, const Tensor& position_t1, const Tensor& radius,
+                                const KeptDistance& kept) {
   const double* radii = rows<double>(radius, "radius", {kAnySize});
   const int64_t count = radius.size(0);
   STD_TORCH_CHECK(count < (int64_t{1} << 31), "radius: more than 2^31 - 1 bodies on one device");
-  BroadBodies view;
+  BroadBodies view{};
   view.count = count;
   view.centres = {rows<double>(position_t0, "position_t0", {count, 3}),
                   rows<double>(position_t1, "position_t1", {count, 3}), radii, count};
-  view.group = optional_column<int64_t>(group, "group", count);
-  view.mask = optional_column<int64_t>(mask, "mask", count);
-  view.world = optional_column<int32_t>(world, "world", count);
-  view.is_static = optional_column<uint8_t>(is_static, "is_static", count);
-  view.in_other_search = optional_column<uint8_t>(in_other_search, "in_other_search", count);
-  view.boxes = boxes ? rows<float, MovingBox>(*boxes, "boxes", {count, kMovingBoxColumns}) : nullptr;
   view.separation = kept.separation;
   view.tolerance = kept.tolerance;
   return view;
 }
 
 // centres = [position_t0 (N, 3), position_t1 (N, 3), radius (N,)]
-inline BroadBodies centres_view(const std::vector<Tensor>& centres, const char* name, const KeptDistance& kept,
-                                const std::optional<Tensor>& boxes = {}) {
+inline BroadBodies centres_view(const TensorList& centres, const char* name, const KeptDistance& kept) {
   STD_TORCH_CHECK(centres.size() == 3, name, ": expected 3 tensors, got ", centres.size());
-  return broad_view(centres[0], centres[1], centres[2], {}, {}, {}, {}, {}, boxes, kept);
+  return spheres_view(centres[0], centres[1], centres[2], kept);
+}
+
+// Swept bodies: see schemas.cpp.
+inline BroadBodies broad_view(const OptionalTensorList& swept, const KeptDistance& kept) {
+  STD_TORCH_CHECK(swept.size() >= 3 && swept.size() <= 9, "swept: expected 3 to 9 tensors, got ", swept.size());
+  STD_TORCH_CHECK(swept[0] && swept[1] && swept[2], "swept: expected position_t0, position_t1 and radius first");
+  const std::optional<Tensor> none;
+  const auto at = [&](size_t k) -> const std::optional<Tensor>& { return k < swept.size() ? swept[k] : none; };
+  BroadBodies view = spheres_view(*swept[0], *swept[1], *swept[2], kept);
+  view.group = optional_column<int64_t>(at(3), "group", view.count);
+  view.mask = optional_column<int64_t>(at(4), "mask", view.count);
+  view.world = optional_column<int32_t>(at(5), "world", view.count);
+  view.is_static = optional_column<uint8_t>(at(6), "is_static", view.count);
+  view.in_other_search = optional_column<uint8_t>(at(7), "in_other_search", view.count);
+  view.boxes = at(8) ? rows<float, MovingBox>(*at(8), "boxes", {view.count, kMovingBoxColumns}) : nullptr;
+  return view;
 }
 
 }  // namespace pgccd::bind

@@ -155,29 +155,24 @@ struct DetectOps {
     return {position_t0, position_t1, radius, blocks_t0, blocks_t1};
   }
 
-  static Tensor broad_pairs(const Tensor& position_t0, const Tensor& position_t1, const Tensor& radius,
-                            const std::optional<Tensor>& group, const std::optional<Tensor>& mask,
-                            const std::optional<Tensor>& world, const std::optional<Tensor>& is_static,
-                            const std::optional<Tensor>& in_other_search, double min_separation, double tolerance,
-                            int64_t broad_phase, int64_t axis, bool at_any_times, const std::optional<Tensor>& boxes) {
+  static Tensor broad_pairs(const OptionalTensorList& swept, double min_separation, double tolerance,
+                            int64_t broad_phase, int64_t axis, bool at_any_times) {
     const BroadPhaseChoice choice = broad_phase_choice(broad_phase, axis);
-    BroadBodies bodies = broad_view(position_t0, position_t1, radius, group, mask, world, is_static, in_other_search,
-                                    boxes, {min_separation, tolerance});
+    BroadBodies bodies = broad_view(swept, {min_separation, tolerance});
     bodies.at_any_times = at_any_times;
-    Tensor pairs = radius;
-    const auto make_rows = [&](int64_t count) {
-      return data<int64_t>(pairs = new_tensor<int64_t>(radius, {count, 2}));
-    };
-    pgccd::find_pairs(Session(radius).context(), bodies, choice, PairOutput(make_rows));
+    const Tensor& like = *swept[0];
+    Tensor pairs = like;
+    const auto make_rows = [&](int64_t count) { return data<int64_t>(pairs = new_tensor<int64_t>(like, {count, 2})); };
+    pgccd::find_pairs(Session(like).context(), bodies, choice, PairOutput(make_rows));
     return pairs;
   }
 
-  static std::tuple<Tensor, Tensor> meeting_pairs(const Tensor& pairs, const TensorList& centres, double min_separation,
-                                                  double tolerance, const std::optional<Tensor>& boxes) {
-    const SweptPairs swept{centres_view(centres, "centres", {min_separation, tolerance}, boxes),
-                           rows<int64_t>(pairs, "pairs", {kAnySize, 2}), pairs.size(0)};
+  static std::tuple<Tensor, Tensor> meeting_pairs(const Tensor& pairs, const OptionalTensorList& swept,
+                                                  double min_separation, double tolerance) {
+    const SweptPairs known{broad_view(swept, {min_separation, tolerance}), rows<int64_t>(pairs, "pairs", {kAnySize, 2}),
+                           pairs.size(0)};
     Tensor meeting = new_tensor<int64_t>(pairs, {pairs.size(0), 2}), found = new_tensor<int64_t>(pairs, {1});
-    pgccd::meeting_pairs(Session(pairs).context(), swept, data<int64_t>(meeting), data<int64_t>(found));
+    pgccd::meeting_pairs(Session(pairs).context(), known, data<int64_t>(meeting), data<int64_t>(found));
     return {meeting, found};
   }
 

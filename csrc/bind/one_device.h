@@ -54,6 +54,12 @@ inline const torch::stable::Tensor* first_in(const std::optional<torch::stable::
 inline const torch::stable::Tensor* first_in(const std::vector<torch::stable::Tensor>& tensors) {
   return tensors.empty() ? nullptr : tensors.data();
 }
+inline const torch::stable::Tensor* first_in(const std::vector<std::optional<torch::stable::Tensor>>& tensors) {
+  for (const auto& tensor : tensors) {
+    if (tensor) return &*tensor;
+  }
+  return nullptr;
+}
 template <class T>
 const torch::stable::Tensor* first_in(const T&) {
   return nullptr;

@@ -9,52 +9,44 @@
 
 namespace pgccd::bind {
 
+// Options of a search besides lengths; flags are nonzero if set. In Python: pgccd/search/query.py.
+struct QueryOptions {
+  int64_t nonzero_toi, tests_start, report;
+};
+
 template <class Session>
 struct PaddedOps {
   // Columns of contacts, body pairs (rows, 2) first; and all counts.
   using Found = std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor>;
 
-  static std::tuple<Tensor, Tensor> pairs(const Tensor& position_t0, const Tensor& position_t1, const Tensor& radius,
-                                          const std::optional<Tensor>& group, const std::optional<Tensor>& mask,
-                                          const std::optional<Tensor>& world, const std::optional<Tensor>& is_static,
-                                          const std::optional<Tensor>& in_other_search,
-                                          const std::optional<Tensor>& is_invalid, double min_separation,
-                                          double tolerance, int64_t broad_phase, const std::vector<int64_t>& capacity,
-                                          bool at_any_times, const std::optional<Tensor>& boxes) {
-    BroadBodies bodies = broad_view(position_t0, position_t1, radius, group, mask, world, is_static, in_other_search,
-                                    boxes, {min_separation, tolerance});
+  static std::tuple<Tensor, Tensor> pairs(const OptionalTensorList& swept, const std::optional<Tensor>& is_invalid,
+                                          double min_separation, double tolerance, int64_t broad_phase,
+                                          const std::vector<int64_t>& capacity, bool at_any_times) {
+    BroadBodies bodies = broad_view(swept, {min_separation, tolerance});
     bodies.is_invalid = optional_column<int64_t>(is_invalid, "is_invalid", 1);
     bodies.at_any_times = at_any_times;
     check_capacity(capacity, 3);
-    Tensor rows = new_tensor<int64_t>(radius, {capacity[0], 2});
-    Tensor counts = new_tensor<int64_t>(radius, {kPairCounts});
+    const Tensor& like = *swept[0];
+    Tensor rows = new_tensor<int64_t>(like, {capacity[0], 2}), counts = new_tensor<int64_t>(like, {kPairCounts});
     const PaddedPairs out{{capacity[0], capacity[1], capacity[2] != 0}, data<int64_t>(rows), data<int64_t>(counts)};
-    pgccd::find_pairs(Session(radius).context(), bodies, broad_phase_choice(broad_phase, -1), out);
+    pgccd::find_pairs(Session(like).context(), bodies, broad_phase_choice(broad_phase, -1), out);
     return {rows, counts};
   }
 
   // A whole step: the pairs, then their contacts. If a row is invalid, no pairs are found; but with `searches_sound`
   // those of all bodies whose spheres have a radius >= 0.
   static Found detect_rigid(const TensorList& mesh_set, const TensorList& bodies, bool linear_path,
-                            const TensorList& spheres, const std::optional<Tensor>& group,
-                            const std::optional<Tensor>& mask, const std::optional<Tensor>& world,
-                            const std::optional<Tensor>& is_static, const Tensor& invalid_rows, bool searches_sound,
-                            double min_separation, double tolerance, bool nonzero_toi, bool tests_start, int64_t report,
+                            const OptionalTensorList& swept, const Tensor& invalid_rows, bool searches_sound,
+                            double min_separation, double tolerance, const std::vector<int64_t>& options,
                             int64_t broad_phase, const std::vector<int64_t>& pair_capacity,
-                            const std::vector<int64_t>& capacity, const std::optional<Tensor>& boxes) {
+                            const std::vector<int64_t>& capacity) {
     const RigidBodies view = rigid_view(mesh_set, bodies, linear_path);
     const int64_t count = view.centres.count;
-    const bool is_own = spheres.empty();
-    STD_TORCH_CHECK(is_own || spheres.size() == 3, "spheres: expected 3 tensors, or none, got ", spheres.size());
-    STD_TORCH_CHECK(!is_own || (view.meshes.centres == nullptr && view.centres.margin == nullptr),
-                    "spheres: expected 3 tensors where meshes are off centre or bodies have margins");
-    const Tensor* const sphere = is_own ? &bodies[1] : spheres.data();
-    BroadBodies swept = broad_view(sphere[0], sphere[1], sphere[2], group, mask, world, is_static, {}, boxes,
-                                   {min_separation, tolerance});
-    STD_TORCH_CHECK(swept.count == count, "spheres: expected ", count, ", one a body, got ", swept.count);
+    BroadBodies spheres = broad_view(swept, {min_separation, tolerance});
+    STD_TORCH_CHECK(spheres.count == count, "swept: expected ", count, " spheres, one a body, got ", spheres.count);
     const int64_t* const first = rows<int64_t>(invalid_rows, "invalid_rows", {kAnySize});
     STD_TORCH_CHECK(invalid_rows.size(0) > 0, "invalid_rows: expected a number at least");
-    if (!searches_sound) swept.is_invalid = first + invalid_rows.size(0) - 1;
+    if (!searches_sound) spheres.is_invalid = first + invalid_rows.size(0) - 1;
     check_capacity(pair_capacity, 3);
     check_contact_capacity(capacity);
     const Tensor& like = bodies[1];
@@ -64,29 +56,28 @@ struct PaddedOps {
     const Session session(like);
     if (capacity.back() != kExactly) {
       const PairCapacity most{pair_capacity[0], pair_capacity[1], pair_capacity[2] != 0};
-      pgccd::find_pairs(session.context(), swept, choice,
+      pgccd::find_pairs(session.context(), spheres, choice,
                         PaddedPairs{most, make_rows(most.pairs), data<int64_t>(counts)});
     } else if constexpr (Session::kHostKnowsCounts) {
-      find_pairs_exactly(session.context(), swept, choice, pair_capacity[0], make_rows, data<int64_t>(counts));
+      find_pairs_exactly(session.context(), spheres, choice, pair_capacity[0], make_rows, data<int64_t>(counts));
     }
-    return contacts(view, pairs, counts, invalid_rows, {min_separation, tolerance, nonzero_toi}, tests_start, report,
-                    capacity);
+    return contacts(view, pairs, counts, invalid_rows, {min_separation, tolerance}, options, capacity);
   }
 
   static Found contacts_rigid(const TensorList& mesh_set, const TensorList& bodies, bool linear_path,
                               const Tensor& pairs, const Tensor& pair_counts, const Tensor& invalid_rows,
-                              double min_separation, double tolerance, bool nonzero_toi, bool tests_start,
-                              int64_t report, const std::vector<int64_t>& capacity) {
+                              double min_separation, double tolerance, const std::vector<int64_t>& options,
+                              const std::vector<int64_t>& capacity) {
     return contacts(rigid_view(mesh_set, bodies, linear_path), pairs, pair_counts, invalid_rows,
-                    {min_separation, tolerance, nonzero_toi}, tests_start, report, capacity);
+                    {min_separation, tolerance}, options, capacity);
   }
 
   static Found contacts_deforming(const TensorList& mesh_set, const TensorList& bodies, const Tensor& pairs,
                                   const Tensor& pair_counts, const Tensor& invalid_rows, double min_separation,
-                                  double tolerance, bool nonzero_toi, bool tests_start, int64_t report,
+                                  double tolerance, const std::vector<int64_t>& options,
                                   const std::vector<int64_t>& capacity) {
-    return contacts(deforming_view(mesh_set, bodies), pairs, pair_counts, invalid_rows,
-                    {min_separation, tolerance, nonzero_toi}, tests_start, report, capacity);
+    return contacts(deforming_view(mesh_set, bodies), pairs, pair_counts, invalid_rows, {min_separation, tolerance},
+                    options, capacity);
   }
 
   // Lowers the first toi of the owners of each pair; computes no other column, and does not test starts.
@@ -159,10 +150,12 @@ struct PaddedOps {
 
   template <class Bodies>
   static Found contacts(const Bodies& bodies, const Tensor& pairs, const Tensor& pair_counts,
-                        const Tensor& invalid_rows, const NarrowSettings& settings, bool tests_start, int64_t report,
+                        const Tensor& invalid_rows, const KeptDistance& kept, const std::vector<int64_t>& options,
                         const std::vector<int64_t>& capacity) {
     check_contact_capacity(capacity);
-    ContactSearch search = search_of(pairs, pair_counts, settings, tests_start, report_of(report));
+    const auto chosen = fields_of<QueryOptions>(options, "options");
+    ContactSearch search = search_of(pairs, pair_counts, {kept.separation, kept.tolerance, chosen.nonzero_toi != 0},
+                                     chosen.tests_start != 0, report_of(chosen.report));
     search.traverse_capacity = traverse_capacity(capacity);
     search.contact_capacity = {capacity[6], capacity[7]};
     ContactTensors found{pairs, pairs, pairs, pairs, pairs, pairs, pairs, pairs};

@@ -9,6 +9,9 @@
 // deforming bodies = [mesh_index (N,) i32, position_t0, position_t1, radius, vertices_t0 (X, 3), vertices_t1 (X, 3),
 //                     blocks_t0 (Y, 9, 8) f32, blocks_t1 (Y, 9, 8) f32, vertex_begin (N,) i64, block_begin (N,) i64]
 //                     see core/bodies.h; either list may be followed by margin (N,)
+// swept = [position_t0 (N, 3), position_t1 (N, 3), radius (N,), group (N,) i64, mask (N,) i64, world (N,) i32,
+//          is_static (N,) u8, in_other_search (N,) u8, boxes (N, 28) f32 of moving_boxes] see kernels/broad/broad.h;
+//         those after the radius may be None, or left out at the end
 // All arguments are checked: shapes, dtypes, devices, lengths, and rows that name other rows. On a CPU a wrong one
 // raises an error that names it. On a GPU the host does not wait for checks of values: traversals count no pairs and
 // overflow (`contacts_padded_*`), or raise (`traverse_*`, `narrow_*`, which wait anyway); other launches fail, as
@@ -46,16 +49,15 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
   // (bodies, 28) f32: see core/moving_box.h
   library.def("moving_boxes_rigid(Tensor[] mesh_set, Tensor[] bodies, bool linear_path) -> Tensor");
   library.def("moving_boxes_deforming(Tensor[] mesh_set, Tensor[] bodies) -> Tensor");
-  // broad_phase: see kernels/broad/broad.h; axis: used by the sweep only; boxes: of moving_boxes
+  // broad_phase: see kernels/broad/broad.h; axis: used by the sweep only
   library.def(
-      "broad_pairs(Tensor position_t0, Tensor position_t1, Tensor radius, Tensor? group, Tensor? mask, Tensor? world, "
-      "Tensor? is_static, Tensor? in_other_search, float min_separation, float tolerance, int broad_phase, int axis, "
-      "bool at_any_times=False, Tensor? boxes=None) -> Tensor");
+      "broad_pairs(Tensor?[] swept, float min_separation, float tolerance, int broad_phase, int axis, "
+      "bool at_any_times=False) -> Tensor");
   // pairs (P, 2) i64 of broad_pairs at any times, rows of -1 anywhere; meeting (P, 2) i64, padded with -1; found (1,)
-  // i64
+  // i64. Of `swept`, filters are not read.
   library.def(
-      "meeting_pairs(Tensor pairs, Tensor[] centres, float min_separation, float tolerance, Tensor? boxes=None) -> "
-      "(Tensor meeting, Tensor found)");
+      "meeting_pairs(Tensor pairs, Tensor?[] swept, float min_separation, float tolerance) -> (Tensor meeting, "
+      "Tensor found)");
   library.def(
       "traverse_rigid(Tensor[] mesh_set, Tensor[] bodies, bool linear_path, Tensor pairs, Tensor? horizon, "
       "float min_separation, float tolerance, bool tests_start) -> (Tensor candidates, Tensor node_tests)");
@@ -72,30 +74,26 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
       "Tensor)");
   // Does not synchronise. capacity = [pairs, overlaps, long_rows], see kernels/padded_pairs.h.
   library.def(
-      "pairs_padded(Tensor position_t0, Tensor position_t1, Tensor radius, Tensor? group, Tensor? mask, Tensor? world, "
-      "Tensor? is_static, Tensor? in_other_search, Tensor? is_invalid, float min_separation, float tolerance, "
-      "int broad_phase, int[] capacity, bool at_any_times=False, Tensor? boxes=None) -> (Tensor pairs, Tensor counts)");
-  // Columns of contacts, body pairs (., 2) i64 first; all counts, followed by invalid_rows. capacity = [poses, tasks,
-  // leaf_pairs, candidates, launches, crowded, open, contacts]; capacities and counts: see kernels/traverse/traverse.h
-  // and kernels/narrow/narrow.h.
+      "pairs_padded(Tensor?[] swept, Tensor? is_invalid, float min_separation, float tolerance, int broad_phase, "
+      "int[] capacity, bool at_any_times=False) -> (Tensor pairs, Tensor counts)");
+  // Columns of contacts, body pairs (., 2) i64 first; all counts, followed by invalid_rows. options: QueryOptions of
+  // bind/padded_ops.h. capacity = [poses, tasks, leaf_pairs, candidates, launches, crowded, open, contacts]; capacities
+  // and counts: see kernels/traverse/traverse.h and kernels/narrow/narrow.h.
   library.def(
       "contacts_padded_rigid(Tensor[] mesh_set, Tensor[] bodies, bool linear_path, Tensor pairs, Tensor pair_counts, "
-      "Tensor invalid_rows, float min_separation, float tolerance, bool nonzero_toi, bool tests_start, int report, "
-      "int[] capacity) -> (Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor counts)");
+      "Tensor invalid_rows, float min_separation, float tolerance, int[] options, int[] capacity) -> "
+      "(Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor counts)");
   library.def(
       "contacts_padded_deforming(Tensor[] mesh_set, Tensor[] bodies, Tensor pairs, Tensor pair_counts, "
-      "Tensor invalid_rows, float min_separation, float tolerance, bool nonzero_toi, bool tests_start, int report, "
-      "int[] capacity) -> (Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor counts)");
-  // A whole step: pairs_padded of the spheres = [position_t0, position_t1, radius], then contacts_padded_rigid. If
-  // `spheres` is empty, the bodies' own spheres are used; the bodies must then be centred, without margins. If
-  // invalid_rows, as of sound_radii, says that a row is invalid, no pairs are found; but with searches_sound those of
-  // all bodies whose sphere has a radius >= 0. If capacity.contacts is -1, all pairs found are returned, or none if
-  // there are more than pair_capacity.pairs.
+      "Tensor invalid_rows, float min_separation, float tolerance, int[] options, int[] capacity) -> (Tensor, Tensor, "
+      "Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor counts)");
+  // A whole step: pairs_padded, then contacts_padded_rigid. If invalid_rows, as of sound_radii, says that a row is
+  // invalid, no pairs are found; but with searches_sound those of all bodies whose sphere has a radius >= 0. If
+  // capacity.contacts is -1, all pairs found are returned, or none if there are more than pair_capacity.pairs.
   library.def(
-      "detect_rigid(Tensor[] mesh_set, Tensor[] bodies, bool linear_path, Tensor[] spheres, Tensor? group, "
-      "Tensor? mask, Tensor? world, Tensor? is_static, Tensor invalid_rows, bool searches_sound, float min_separation, "
-      "float tolerance, bool nonzero_toi, bool tests_start, int report, int broad_phase, int[] pair_capacity, "
-      "int[] capacity, Tensor? boxes=None) -> (Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, "
+      "detect_rigid(Tensor[] mesh_set, Tensor[] bodies, bool linear_path, Tensor?[] swept, Tensor invalid_rows, "
+      "bool searches_sound, float min_separation, float tolerance, int[] options, int broad_phase, "
+      "int[] pair_capacity, int[] capacity) -> (Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, "
       "Tensor counts)");
   // Lowers first (N,) f64 at the owners (P, 2) i64 of each pair; capacity without contacts, counts without
   // invalid_rows.
@@ -130,9 +128,7 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
   // centres, ghosts = [position_t0 (N, 3), position_t1 (N, 3), radius (N,)]
   // frame = lower corner, cells per length unit, number of cells; each along x, y, z
   // owner (cells,) i64, or (planes, 4) f64
-  library.def(
-      "swept_boxes(Tensor position_t0, Tensor position_t1, Tensor radius, float min_separation, float tolerance) -> "
-      "(Tensor lower, Tensor upper)");
+  library.def("swept_boxes(Tensor[] centres, float min_separation, float tolerance) -> (Tensor lower, Tensor upper)");
   library.def(
       "boundary_bodies(Tensor[] centres, float min_separation, float tolerance, float[] frame, Tensor owner, "
       "int rank) -> (Tensor reach, Tensor boundary, Tensor found)");

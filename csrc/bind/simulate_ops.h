@@ -1,21 +1,10 @@
 // The operators of the nanorobot simulation, templates over the session that they run in.
 #pragma once
 
-#include <cstring>
-
 #include "bind/detect_ops.h"
 #include "kernels/simulate/simulate.h"
 
 namespace pgccd::bind {
-
-template <class Fields, class Number>
-Fields fields_of(const std::vector<Number>& numbers, const char* name) {
-  constexpr size_t kCount = sizeof(Fields) / sizeof(Number);
-  STD_TORCH_CHECK(numbers.size() == kCount, name, ": expected ", kCount, " values, got ", numbers.size());
-  Fields fields;
-  std::memcpy(&fields, numbers.data(), sizeof(Fields));
-  return fields;
-}
 
 inline World world_view(const std::vector<int64_t>& integers, const std::vector<double>& scales) {
   const auto n = fields_of<WorldIntegers>(integers, "integers");

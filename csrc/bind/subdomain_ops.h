@@ -48,10 +48,9 @@ using FrameList = std::vector<double>;
 
 template <class Session>
 struct SubdomainOps {
-  static std::tuple<Tensor, Tensor> swept_boxes(const Tensor& position_t0, const Tensor& position_t1,
-                                                const Tensor& radius, double min_separation, double tolerance) {
-    const BroadBodies bodies =
-        broad_view(position_t0, position_t1, radius, {}, {}, {}, {}, {}, {}, {min_separation, tolerance});
+  static std::tuple<Tensor, Tensor> swept_boxes(const TensorList& centres, double min_separation, double tolerance) {
+    const BroadBodies bodies = centres_view(centres, "centres", {min_separation, tolerance});
+    const Tensor& radius = centres[2];
     Tensor lower = new_tensor<double>(radius, {bodies.count, 3}), upper = new_tensor<double>(radius, {bodies.count, 3});
     pgccd::swept_boxes(Session(radius).context(), bodies, data<double>(lower), data<double>(upper));
     return {lower, upper};

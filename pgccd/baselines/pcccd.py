@@ -148,7 +148,7 @@ class PCCCD:
         self.comm.guard.activity = "step"
         clock = StageClock()
 
-        lengths = self._query.settings[:2]
+        query, lengths = self._query, self._query.lengths
         contents, boxes_sent = send_boxes(
             self.comm, self._directory, bodies, bodies_before[:-1], self.voxel_size, lengths, clock
         )
@@ -163,10 +163,9 @@ class PCCCD:
             columns, owner, triangle_pairs = self._fetch(own, bodies_before, triangle_pairs)
         with clock.stage("narrow"):
             found = MovingBodies.of_columns(self._meshes, columns, motion.path == "linear")
-            pairs, candidates = feature_candidates(found, triangle_pairs, self._query.tests_start)
-            row, *rows = ops.narrow(
-                found.operands, pairs, candidates, *self._query.settings, narrow.REPORTS[self._query.report]
-            )
+            pairs, candidates = feature_candidates(found, triangle_pairs, query.tests_start)
+            report = narrow.REPORTS[query.report]
+            row, *rows = ops.narrow(found.operands, pairs, candidates, *lengths, query.nonzero_toi, report)
         with clock.stage("report"):
             of_contacts = pairs[row.long()]
             contacts = dict(zip(COLUMNS, (columns["id"][of_contacts], *rows), strict=True))

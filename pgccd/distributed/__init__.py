@@ -8,6 +8,7 @@ from pgccd.checkpoint.files import CheckpointError
 from pgccd.distributed.comm.interface import Alone, Comm
 from pgccd.distributed.comm.mpi_comm import MpiComm
 from pgccd.distributed.comm.torch_comm import TorchComm
+from pgccd.distributed.detection.options import RankOptions
 from pgccd.distributed.guard import RankFailureError
 from pgccd.distributed.launch.agreement import DisagreementError
 from pgccd.distributed.launch.connect import choose_device, connect
@@ -18,6 +19,7 @@ from pgccd.distributed.partition.cells import Cells
 from pgccd.distributed.partition.interface import Partition
 from pgccd.distributed.world.functions import Bodies
 from pgccd.distributed.world.loop import CapturedWorld
+from pgccd.distributed.world.options import WorldOptions
 from pgccd.distributed.world.resolve import WorldResolution
 from pgccd.distributed.world.world import World
 from pgccd.distributed.world.world_graphs import WorldStep
@@ -36,8 +38,10 @@ __all__ = [
     "Partition",
     "Placement",
     "RankFailureError",
+    "RankOptions",
     "TorchComm",
     "World",
+    "WorldOptions",
     "WorldResolution",
     "WorldStep",
     "choose_device",

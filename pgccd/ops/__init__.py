@@ -5,6 +5,7 @@ The operators check shapes and dtypes; the stage modules that call these wrapper
 
 from pgccd.ops.detection import (
     ContactRows,
+    Swept,
     broad_pairs,
     contacts_padded,
     detect_rigid,

@@ -11,6 +11,10 @@ from pgccd.ops.library import Bodies, float64, int64, on_contiguous, operator, o
 #: (K, 2), point (K, 3), normal (K, 3).
 ContactRows = tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]
 _Elementary = tuple[Tensor, Tensor, Tensor, Tensor]
+#: Swept bodies: position_t0 (N, 3), position_t1 (N, 3), radius (N,); then group, mask, world, static, in_other_search
+#: (N,) and boxes (N, 28), of `moving_boxes`. These may be None, or left out at the end. Pairs of two static bodies are
+#: left out, and pairs of two bodies marked by in_other_search, uint8; and those whose boxes stay apart.
+Swept = tuple[Tensor, Tensor, Tensor, *tuple[Tensor | None, ...]]
 
 
 @operator
@@ -108,41 +112,20 @@ def refit(
 
 @operator
 def broad_pairs(
-    position_t0: Tensor,
-    position_t1: Tensor,
-    radius: Tensor,
-    group: Tensor | None,
-    mask: Tensor | None,
-    world: Tensor | None,
-    is_static: Tensor | None,
-    in_other_search: Tensor | None,
-    min_separation: float,
-    tolerance: float,
-    broad_phase: int,
-    axis: int,
-    at_any_times: bool = False,
-    boxes: Tensor | None = None,
+    swept: Swept, min_separation: float, tolerance: float, broad_phase: int, axis: int, at_any_times: bool = False
 ) -> Tensor:
-    """Sorted pairs (P, 2) int64 of swept spheres that come within min_separation + tolerance; a negative tolerance is
-    relative to the smaller radius of a pair. Pairs of two static bodies are left out, and pairs of two bodies marked by
-    in_other_search, (N,) uint8. broad_phase: number in csrc/kernels/broad/broad.h; axis: of a sweep, -1 for automatic.
-    Neither affects the result. at_any_times: also pairs that may come so near at two times, each of one body. boxes
-    (N, 28): of `moving_boxes`, pairs of which stay apart are left out.
+    """Sorted pairs (P, 2) int64 of swept bodies that come within min_separation + tolerance; a negative tolerance is
+    relative to the smaller radius of a pair. broad_phase: number in csrc/kernels/broad/broad.h; axis: of a sweep, -1
+    for automatic. Neither affects the result. at_any_times: also pairs that may come so near at two times, each of one
+    body.
     """
-    return int64(position_t0, unknown_count(), 2)
+    return int64(swept[0], unknown_count(), 2)
 
 
 @operator
-def meeting_pairs(
-    pairs: Tensor,
-    centres: Sequence[Tensor],
-    min_separation: float,
-    tolerance: float,
-    boxes: Tensor | None = None,
-) -> tuple[Tensor, Tensor]:
+def meeting_pairs(pairs: Tensor, swept: Swept, min_separation: float, tolerance: float) -> tuple[Tensor, Tensor]:
     """Selects from pairs (P, 2) of bodies, found at any times, which may contain rows of -1, those that `broad_pairs`
-    finds otherwise: (P, 2) in the same order, padded with -1 after the first `found` (1,) rows. centres: [position_t0
-    (N, 3), position_t1 (N, 3), radius (N,)]. Does not synchronise.
+    finds otherwise: (P, 2) in the same order, padded with -1 after the first `found` (1,) rows. Does not synchronise.
     """
     return int64(pairs, pairs.shape[0], 2), int64(pairs, 1)
 
@@ -176,26 +159,18 @@ def narrow(
 
 @operator
 def pairs_padded(
-    position_t0: Tensor,
-    position_t1: Tensor,
-    radius: Tensor,
-    group: Tensor | None,
-    mask: Tensor | None,
-    world: Tensor | None,
-    is_static: Tensor | None,
-    in_other_search: Tensor | None,
+    swept: Swept,
     is_invalid: Tensor | None,
     min_separation: float,
     tolerance: float,
     broad_phase: int,
     capacity: Sequence[int],
     at_any_times: bool = False,
-    boxes: Tensor | None = None,
 ) -> tuple[Tensor, Tensor]:
-    """The pairs of `broad_pairs` padded with -1, and counts (7,): see `pgccd.runtime.sizes`. Does not
-    synchronise.
+    """The pairs of `broad_pairs` padded with -1, and counts (7,): see `pgccd.runtime.sizes`. If is_invalid (1,) is
+    nonzero there are none. Does not synchronise.
     """
-    return int64(position_t0, capacity[0], 2), int64(position_t0, 7)
+    return int64(swept[0], capacity[0], 2), int64(swept[0], 7)
 
 
 @operator_of_bodies
@@ -206,13 +181,11 @@ def contacts_padded(
     invalid_rows: Tensor,
     min_separation: float,
     tolerance: float,
-    nonzero_toi: bool,
-    tests_start: bool,
-    report: int,
+    options: Sequence[int],
     capacity: Sequence[int],
 ) -> tuple[Tensor, ...]:
-    """Padded contact rows, body pairs in the first column; and all counts (22,) followed by invalid_rows. Does not
-    synchronise.
+    """Padded contact rows, body pairs in the first column; and all counts (22,) followed by invalid_rows. options: as
+    of `pgccd.search.query.Query`. Does not synchronise.
     """
     return _found(pairs, invalid_rows.shape[0], capacity)
 
@@ -222,26 +195,18 @@ def detect_rigid(
     mesh_set: Sequence[Tensor],
     bodies: Sequence[Tensor],
     linear_path: bool,
-    spheres: Sequence[Tensor],
-    group: Tensor | None,
-    mask: Tensor | None,
-    world: Tensor | None,
-    is_static: Tensor | None,
+    swept: Swept,
     invalid_rows: Tensor,
     searches_sound: bool,
     min_separation: float,
     tolerance: float,
-    nonzero_toi: bool,
-    tests_start: bool,
-    report: int,
+    options: Sequence[int],
     broad_phase: int,
     pair_capacity: Sequence[int],
     capacity: Sequence[int],
-    boxes: Tensor | None = None,
 ) -> tuple[Tensor, ...]:
-    """`pairs_padded` for the spheres [position_t0, position_t1, radius], then `contacts_padded` for the pairs found. If
-    `spheres` is empty, the bodies' own spheres are used. invalid_rows: as from `sound_radii`. If a row is invalid there
-    are no pairs; but with `searches_sound` those of all bodies whose sphere has a radius >= 0.
+    """`pairs_padded`, then `contacts_padded` for the pairs found. invalid_rows: as from `sound_radii`. If a row is
+    invalid there are no pairs; but with `searches_sound` those of all bodies whose sphere has a radius >= 0.
     """
     return _found(bodies[1], invalid_rows.shape[0], capacity)
 

@@ -16,13 +16,11 @@ Centres = Sequence[Tensor]
 
 
 @operator
-def swept_boxes(
-    position_t0: Tensor, position_t1: Tensor, radius: Tensor, min_separation: float, tolerance: float
-) -> tuple[Tensor, Tensor]:
+def swept_boxes(centres: Centres, min_separation: float, tolerance: float) -> tuple[Tensor, Tensor]:
     """Lower and upper corners (N, 3) of the boxes of swept spheres, grown by half of separation and tolerance. The
     boxes of every pair found by `broad_pairs` overlap.
     """
-    return torch.empty_like(position_t0), torch.empty_like(position_t0)
+    return torch.empty_like(centres[0]), torch.empty_like(centres[0])
 
 
 @operator

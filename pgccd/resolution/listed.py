@@ -155,9 +155,8 @@ class ListedSearch:
             copies,
             pair_counts,
             pair_counts.new_zeros(1),  # all poses have been validated
-            *self._query.settings,
-            self._query.tests_start,
-            REPORTS["first"],
+            *self._query.lengths,
+            [*self._query.options[:-1], REPORTS["first"]],
             capacity.of_contacts,
         )
         of_copies = rows[0]

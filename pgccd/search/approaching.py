@@ -213,10 +213,9 @@ class _Search:
         """All contacts of pairs until times (P,), in their order by pair; the row of their pair (K,); and the number of
         candidates.
         """
-        operands, settings = self.bodies.operands, self.query.settings
-        tests_start = self.query.tests_start
-        candidates, _ = ops.traverse(operands, pairs, until, *settings[:2], tests_start)
-        rows = ops.narrow(operands, pairs, candidates, *settings, narrow.REPORTS["all"])
+        operands, query, lengths = self.bodies.operands, self.query, self.query.lengths
+        candidates, _ = ops.traverse(operands, pairs, until, *lengths, query.tests_start)
+        rows = ops.narrow(operands, pairs, candidates, *lengths, query.nonzero_toi, narrow.REPORTS["all"])
         place = rows[0].long()
         contacts: Any = contacts_of((pairs[place], *rows[1:]), "all", Stats(bodies=len(self.recession.slack)))
         order = torch.nonzero(contacts.toi <= until[place])[:, 0]

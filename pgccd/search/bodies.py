@@ -137,6 +137,16 @@ class MovingBodies:
         """`centre_t0`, `centre_t1` and `reach`."""
         return self.centre_t0, self.centre_t1, self.reach
 
+    def swept(self, in_other_search: Tensor | None = None) -> ops.Swept:
+        """The operators' `swept` argument: swept spheres, filters and boxes.
+
+        Args:
+            in_other_search: (N,) uint8, nonzero for bodies whose pairs with each other another search finds.
+        """
+        scene = self.scene
+        filters = scene.group, scene.mask, scene.world, scene.static
+        return self.centre_t0, self.centre_t1, self.reach, *filters, in_other_search, self.boxes
+
     def stoppable(self) -> MovingBodies:
         """The same rigid bodies, with spheres and boxes that contain them wherever on their way they are stopped or
         slowed down: a shortened path is rounded (docs/explanation/exactness.md, section 12). Those about origins do

@@ -24,7 +24,6 @@ BROAD_PHASE_NUMBERS: dict[str, int] = {name: number for number, name in enumerat
 _FEW_BODIES = 2_000
 _GRID_OCTAVES = 3
 _MANY_BODIES = 150_000
-_Filters = tuple[Tensor | None, Tensor | None, Tensor | None, Tensor | None]
 
 _AXES = {"auto": -1, "x": 0, "y": 1, "z": 2}
 
@@ -169,14 +168,12 @@ def find_pairs_padded(
     own = 0 if bodies.scene.self_collision is None else len(bodies._self_colliding)
     pair_capacity, *rest = capacity.of_pairs
     pairs, counts = ops.pairs_padded(
-        *_columns(bodies),
-        in_other_search,
+        bodies.swept(in_other_search),
         invalid,
         *_lengths(min_separation, tolerance),
         number,
         [max(0, pair_capacity - own), *rest],
         at_any_times,
-        bodies.boxes,
     )
     if own:
         added = own * (invalid[0] == 0)
@@ -229,7 +226,7 @@ def find_pairs_of_checked(
     `find_pairs_padded`.
     """
     lengths, number = _lengths(min_separation, tolerance), BROAD_PHASE_NUMBERS[chosen]
-    pairs = ops.broad_pairs(*_columns(bodies), in_other_search, *lengths, number, axis, at_any_times, bodies.boxes)
+    pairs = ops.broad_pairs(bodies.swept(in_other_search), *lengths, number, axis, at_any_times)
     pairs = with_self_pairs(bodies, pairs)
     return pairs if bodies.scene.exclude is None else pairs[_is_tested(bodies, pairs)]
 
@@ -246,7 +243,7 @@ def meeting_pairs(
     Returns:
         (P, 2) int64, the PCS in the same order, then rows of -1; and its number (1,) int64.
     """
-    return ops.meeting_pairs(pairs, bodies.swept_spheres, *_lengths(min_separation, tolerance), bodies.boxes)
+    return ops.meeting_pairs(pairs, bodies.swept(), *_lengths(min_separation, tolerance))
 
 
 def with_self_pairs(bodies: MovingBodies, pairs: Tensor) -> Tensor:
@@ -296,16 +293,6 @@ def _find(bodies: MovingBodies, chosen: str, min_separation: float, tolerance: f
     require_bodies(bodies)
     bodies.check()
     return find_pairs_of_checked(bodies, min_separation, chosen, tolerance, axis)
-
-
-def filters(bodies: MovingBodies) -> _Filters:
-    """The filters of pairs: group, mask, world, static."""
-    scene = bodies.scene
-    return scene.group, scene.mask, scene.world, scene.static
-
-
-def _columns(bodies: MovingBodies) -> tuple[Tensor, Tensor, Tensor, *_Filters]:
-    return bodies.centre_t0, bodies.centre_t1, bodies.reach, *filters(bodies)
 
 
 def _lengths(min_separation: float, tolerance: float | None) -> tuple[float, float]:

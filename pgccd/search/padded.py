@@ -12,7 +12,7 @@ from pgccd.contacts.by_body import SceneBodies
 from pgccd.contacts.contacts import COLUMNS, CollidingPairs, ContactRows, Contacts, contacts_of, take_earliest
 from pgccd.contacts.padded import PaddedCollidingPairs, PaddedContacts, stats_of
 from pgccd.runtime.sizes import COUNT_ROWS, COUNTS_OF_PAIRS, EXACTLY, BufferSizes, Counts, overflow_flags
-from pgccd.search import broad, narrow
+from pgccd.search import broad
 from pgccd.search.bodies import MovingBodies
 from pgccd.search.query import Query
 
@@ -135,9 +135,8 @@ def search_padded(
         pairs,
         pair_counts,
         invalid_rows,
-        *query.settings,
-        query.tests_start,
-        narrow.REPORTS[query.report],
+        *query.lengths,
+        query.options,
         capacity.of_contacts,
     )
     return PaddedSearch(bodies, query, capacity, chosen or "given", tuple(rows), counts)  # type: ignore[arg-type]
@@ -160,28 +159,22 @@ def search_rigid(
         marks_invalid: whether to search the other bodies if a pose is invalid: see `PaddedSearch.reach`.
     """
     chosen = broad.chosen_for(bodies, broad_phase)
-    scene, tensors, reach = bodies.scene, bodies.tensors, bodies.reach
     *rows, counts = ops.detect_rigid(
-        scene.meshes.tensors,
-        tensors,
+        bodies.scene.meshes.tensors,
+        bodies.tensors,
         bodies.linear_path,
-        [] if reach is tensors[3] else [bodies.centre_t0, bodies.centre_t1, reach],
-        scene.group,
-        scene.mask,
-        scene.world,
-        scene.static,
+        bodies.swept(),
         bodies._first_invalid_rows(),
         marks_invalid,
-        *query.settings,
-        query.tests_start,
-        narrow.REPORTS[query.report],
+        *query.lengths,
+        query.options,
         broad.BROAD_PHASE_NUMBERS[chosen],
         pair_capacity,
         capacity.of_contacts,
-        bodies.boxes,
     )
     found = tuple(rows)
-    return PaddedSearch(bodies, query, capacity, chosen, found, counts, reach if marks_invalid else None)  # type: ignore[arg-type]
+    reach = bodies.reach if marks_invalid else None
+    return PaddedSearch(bodies, query, capacity, chosen, found, counts, reach)  # type: ignore[arg-type]
 
 
 def lower_first_toi(
@@ -217,6 +210,7 @@ def lower_first_toi(
         linear_path,
         pairs,
         pair_counts,
-        *query.settings,
+        *query.lengths,
+        query.nonzero_toi,
         capacity.of_contacts[:-1],  # no contacts are written
     )

@@ -20,14 +20,16 @@ class Query:
     tolerance: float | None
     nonzero_toi: bool
     initial: Initial = "report"
-    #: The operators' arguments min_separation, tolerance and nonzero_toi.
-    settings: tuple[float, float, bool] = field(init=False, repr=False, compare=False)
+    #: The operators' arguments min_separation and tolerance.
+    lengths: tuple[float, float] = field(init=False, repr=False, compare=False)
     #: Whether surfaces that intersect at t = 0 are reported: the operators' argument of that name.
     tests_start: bool = field(init=False, repr=False, compare=False)
+    #: The operators' argument of that name: `QueryOptions` of csrc/bind/padded_ops.h. A list: torch takes 3 us more for
+    #: a named tuple.
+    options: list[int] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         arguments.choice(self.report, "report", narrow.REPORTS)
-        separation = check_separation(self.min_separation)
-        tolerance = operator_tolerance(self.tolerance)
-        self.settings = separation, tolerance, arguments.flag(self.nonzero_toi, "nonzero_toi")
-        self.tests_start = tests_start(self.initial)
+        self.lengths = check_separation(self.min_separation), operator_tolerance(self.tolerance)
+        nonzero_toi, self.tests_start = arguments.flag(self.nonzero_toi, "nonzero_toi"), tests_start(self.initial)
+        self.options = [nonzero_toi, self.tests_start, narrow.REPORTS[self.report]]

@@ -10,7 +10,6 @@ from pgccd.sim.log import LOG_FILE, read_log
 from pgccd.sim.model import PATTERNS, Model, ModelConfig, RobotState
 from pgccd.sim.nanorobot import robot_mesh
 from pgccd.sim.pictures import page_of_steps, snapshot_of_state, snapshot_of_step
-from pgccd.sim.rank_options import RankOptions
 from pgccd.sim.response import respond
 from pgccd.sim.run_checkpoint import Checkpoint, load_checkpoint
 from pgccd.sim.runner import Run, resume, run
@@ -27,7 +26,6 @@ __all__ = [
     "CommittedStep",
     "Fractions",
     "RobotState",
-    "RankOptions",
     "Run",
     "Simulation",
     "Step",

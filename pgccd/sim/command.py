@@ -14,13 +14,13 @@ from typing import NoReturn
 import torch
 
 from pgccd.distributed.comm.interface import Comm
+from pgccd.distributed.detection.options import RankOptions
 from pgccd.distributed.guard import RankFailureError, is_of_all_ranks
 from pgccd.distributed.launch.agreement import on_first
 from pgccd.distributed.launch.connect import DEFAULT_TIMEOUT, TRANSPORTS, connect, tell_problem
 from pgccd.distributed.launch.placement import find_placement
 from pgccd.distributed.partition.balance import POLICIES, BalanceOptions
 from pgccd.distributed.partition.cut import DEFAULT_AXES, DEFAULT_CELLS, PARTITION_CHOICES
-from pgccd.sim.rank_options import RankOptions
 from pgccd.sim.run_checkpoint import find_checkpoint
 
 _FAILURE_CODE = 70
@@ -44,7 +44,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def rank_options(options: argparse.Namespace) -> RankOptions:
     """From the options of the command line."""
-    return RankOptions(options.partition, options.axes, options.cells, BalanceOptions(options.balance))
+    balance = BalanceOptions(options.balance)
+    return RankOptions(options.partition, options.axes, options.cells, balance, broad_phase=options.broad_phase)
 
 
 def connect_ranks(options: argparse.Namespace) -> Comm:

@@ -20,19 +20,18 @@ from pgccd.distributed.checkpoint.reading import load_share, open_stored
 from pgccd.distributed.checkpoint.shared_folder import hold_together
 from pgccd.distributed.checkpoint.writing import CheckpointWriter
 from pgccd.distributed.comm.interface import Alone, Comm
+from pgccd.distributed.detection.options import RankOptions
 from pgccd.distributed.guard import collective
 from pgccd.distributed.launch.agreement import on_first, require_agreement, together
 from pgccd.geometry.digest import meshes_digest
 from pgccd.geometry.mesh import Mesh
-from pgccd.search.broad import BroadPhase
 from pgccd.sim.gathering import gather_sample
 from pgccd.sim.log import StepLog, iterate_log
 from pgccd.sim.model import Model, ModelConfig, RobotState
 from pgccd.sim.progress import Progress
-from pgccd.sim.rank_options import RankOptions
 from pgccd.sim.run_checkpoint import KIND, ROBOTS, Header, StoredCheckpoint, require_checkpoint
 from pgccd.sim.run_folder import begin
-from pgccd.sim.simulation import Simulation
+from pgccd.sim.simulation import Simulation, starting_partition
 from pgccd.sim.state_hashes import state_hash
 from pgccd.sim.step import Step
 from pgccd.sim.step_graph import CommittedStep
@@ -91,7 +90,6 @@ def run(
     comm: Comm | None = None,
     meshes: Sequence[Mesh] | None = None,
     device: torch.device | str = "cpu",
-    broad_phase: BroadPhase = "auto",
     options: RankOptions | None = None,
     checkpoint_every: int = 0,
     progress: Progress | None = None,
@@ -114,8 +112,7 @@ def run(
         comm: between the ranks; all of them call this with equal arguments. Default: one process, all robots.
         meshes: kinds of robots; default `robot_mesh()`.
         device: of the computation, of this rank. The result does not depend on it.
-        broad_phase: as for `detect`.
-        options: of the distribution over ranks.
+        options: of the distribution over ranks, and the broad phase: see `pgccd.distributed.RankOptions`.
         checkpoint_every: steps between checkpoints; 0: one at the end only.
         progress: notified after every step.
         keep_steps: number of last steps that are kept with their details on rank 0, for pictures. On a GPU they are not
@@ -145,9 +142,7 @@ def run(
     plan.agree(comm, model, options)
     with hold_together(comm, folder):
         on_first(comm, lambda: begin(folder, model.describe() | dict(notes or {}), overwrite))
-        partition = options.cut(comm, model)
-        given = options.balance, options.overlap, broad_phase, graph
-        return plan.finish(Simulation.create(comm, model, partition, None, *given), 0)
+        return plan.finish(Simulation.create(comm, model, options=options, graph=graph), 0)
 
 
 @partial(collective, name="sim.resume")
@@ -158,7 +153,6 @@ def resume(
     comm: Comm | None = None,
     meshes: Sequence[Mesh] | None = None,
     device: torch.device | str = "cpu",
-    broad_phase: BroadPhase = "auto",
     options: RankOptions | None = None,
     checkpoint_every: int = 0,
     progress: Progress | None = None,
@@ -172,7 +166,7 @@ def resume(
         folder: of the run.
         steps: total number of steps; default: that of the run.
         meshes: of the run; default `robot_mesh()`.
-        comm, device, broad_phase, options, checkpoint_every, progress, keep_steps, graph, keep: as for `run`.
+        comm, device, options, checkpoint_every, progress, keep_steps, graph, keep: as for `run`.
 
     Raises:
         FileNotFoundError: there is no checkpoint.
@@ -190,9 +184,9 @@ def resume(
         plan = _Plan(steps, folder, checkpoint_every, progress, keep_steps, keep)
         plan.agree(comm, model, options)
         state = load_robots(comm, stored).to(model.device)
-        partition = load_partition(comm, stored, options.cut(comm, model, stored_kind(stored)))
-        given = options.balance, options.overlap, broad_phase, graph
-        return plan.finish(Simulation.create(comm, model, partition, state, *given), stored.run.steps_made)
+        uniform = starting_partition(comm, model, options, stored_kind(stored))
+        partition = load_partition(comm, stored, uniform)
+        return plan.finish(Simulation.create(comm, model, partition, state, options, graph), stored.run.steps_made)
 
 
 def load_robots(comm: Comm, stored: StoredCheckpoint) -> RobotState:

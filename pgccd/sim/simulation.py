@@ -11,7 +11,7 @@ from pgccd.contacts.contacts import Contacts
 from pgccd.distributed.comm.exchange import Columns, take_rows
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.detection.held_exchange import HeldExchange
-from pgccd.distributed.detection.options import SearchOptions
+from pgccd.distributed.detection.options import RankOptions, SearchOptions
 from pgccd.distributed.detection.share import Share, search_share
 from pgccd.distributed.guard import collective
 from pgccd.distributed.halo.halo_sizes import HaloSizes
@@ -30,11 +30,9 @@ from pgccd.runtime.replayed_steps import GRAPH_SLACK
 from pgccd.runtime.stages import StageClock
 from pgccd.runtime.transaction import Replay
 from pgccd.search.bodies import MovingBodies
-from pgccd.search.broad import BroadPhase
 from pgccd.search.passes import pairs_of_rounds
 from pgccd.search.query import Query
 from pgccd.sim.model import Model, RobotState
-from pgccd.sim.rank_options import RankOptions
 from pgccd.sim.reports import REPORTED, Reports
 from pgccd.sim.response import respond
 from pgccd.sim.step import Step
@@ -93,9 +91,7 @@ class Simulation(RankSteps[Step, CommittedStep, StepGraph]):
         model: Model,
         partition: Partition | None = None,
         state: RobotState | None = None,
-        balance: BalanceOptions | None = None,
-        overlap: bool = True,
-        broad_phase: BroadPhase = "auto",
+        options: RankOptions | None = None,
         graph: bool | None = None,
     ) -> Simulation:
         """Distributes robots over the ranks.
@@ -103,32 +99,29 @@ class Simulation(RankSteps[Step, CommittedStep, StepGraph]):
         Args:
             comm: between the ranks.
             model: the rules, the same on all ranks, on this rank's device.
-            partition: the same on all ranks. Default: that of `RankOptions`.
+            partition: the same on all ranks. Default: that of the options.
             state: of any share of the robots; each robot is on exactly one rank. Default: all robots at the start.
-            balance: options of load balancing.
-            broad_phase, overlap: see `SearchOptions`.
+            options: of the distribution over ranks, the same on all.
             graph: whether steps are replayed, the same on all ranks. Default: if messages are sent on a GPU's stream.
 
         Raises:
             RuntimeError: robots are missing or duplicated.
         """
-        query = FIRST_CONTACTS
-        options = SearchOptions(
+        query, options = FIRST_CONTACTS, options or RankOptions()
+        search = SearchOptions(
             query.report,
             nonzero_toi=query.nonzero_toi,
             initial=query.initial,
-            broad_phase=broad_phase,
-            overlap=overlap,
+            broad_phase=options.broad_phase,
+            overlap=options.overlap,
             at_any_times=True,
         )
         graph = can_replay(comm, model.device) if graph is None else graph
-        partition = RankOptions().cut(comm, model) if partition is None else partition
+        partition = starting_partition(comm, model, options) if partition is None else partition
         state = starting_share(comm, model) if state is None else state
         state = RobotState(**take_rows(state.columns, torch.argsort(state.id)))
         expected = IdChecksum.of_range(comm, model.config.robots)
-        simulation = cls(
-            Decomposition(comm, partition), model, state, expected, balance or BalanceOptions(), options, graph
-        )
+        simulation = cls(Decomposition(comm, partition), model, state, expected, options.balance, search, graph)
         simulation._migrate(state)
         simulation.verify()
         return simulation
@@ -363,6 +356,12 @@ class Simulation(RankSteps[Step, CommittedStep, StepGraph]):
         """Migrates robots; the state's ids ascend."""
         moved = migrate(self._rank.decomposition, state.columns, state.position)
         self._state, self._arrived = RobotState(**moved.columns), moved.arrived
+
+
+def starting_partition(comm: Comm, model: Model, options: RankOptions, former: str | None = None) -> Partition:
+    """The partition of space at the start; `former` is the kind of that in the checkpoint, if there is one."""
+    x, y, z = model.half_extent
+    return options.cut((-x, -y, -z), (x, y, z)).uniform(comm.size, model.device, options.balance, former)
 
 
 def starting_share(comm: Comm, model: Model) -> RobotState:

@@ -474,7 +474,7 @@ def test_refusals() -> None:
         with pytest.raises(ValueError, match="^hits: are the contacts of one of several ranks"):
             ask(scene, motion, of_rank)
     with pytest.raises(TypeError, match="normals"):
-        pgccd.distributed.World.create([CUBE], (-9,) * 3, (9,) * 3, motion.position_t0, normals="surface")  # type: ignore
+        pgccd.distributed.WorldOptions(normals="surface")  # type: ignore[call-arg]
     for name, instead in (
         ("approach", r"call pgccd.approach_rates\("),
         ("approaching", r"call pgccd.approaching\("),

@@ -165,16 +165,17 @@ def test_a_rank_with_one_body_does_not_warn() -> None:
     motion = poses(1)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        world = distributed.World.create([tetrahedron()], (-9, -9, -9), (9, 9, 9), motion.position_t0)
+        scene = pgccd.Scene([tetrahedron()])
+        world = distributed.World.create(scene, motion.position_t0, (-9, -9, -9), (9, 9, 9))
         assert len(world.step(motion)) == 0
         waypoints = motion.position_t0.repeat(3, 1, 1), motion.orientation_t0.repeat(3, 1, 1)
-        again = distributed.World.create([tetrahedron()], (-9, -9, -9), (9, 9, 9), motion.position_t0)
+        again = distributed.World.create(scene, motion.position_t0, (-9, -9, -9), (9, 9, 9))
         assert len(again.step(pgccd.Trajectory(*waypoints))) == 0
 
 
 def test_worlds_name_row_and_value() -> None:
     x = torch.zeros(2, 3, dtype=torch.float64)
-    world = distributed.World.create([tetrahedron()], (-9, -9, -9), (9, 9, 9), x, margin=0.3)
+    world = distributed.World.create(pgccd.Scene([tetrahedron()], [0, 0], margin=0.3), x, (-9, -9, -9), (9, 9, 9))
     assert world.columns["margin"].tolist() == [0.3, 0.3]
     with pytest.raises(ValueError, match=r"^position: row 1: expected finite .*, got \[0.0, 0.0, nan\]"):
         world.move(torch.tensor([[0.0, 0, 0], [0, 0, float("nan")]], dtype=torch.float64))

@@ -412,7 +412,7 @@ def test_refusals_name_what_was_passed() -> None:
     one = velocity[None]
     q = torch.stack([UPRIGHT, UPRIGHT])
     x = torch.stack([START, END])
-    world = pgccd.distributed.World.create(meshes(), (-9.0,) * 3, (9.0,) * 3, START, mesh_index=torch.arange(2))
+    world = pgccd.distributed.World.create(pgccd.Scene(meshes(), [0, 1]), START, (-9.0,) * 3, (9.0,) * 3)
     motions: dict[str, Callable[[], Any]] = {
         "orientation_t1": lambda: pgccd.RigidMotion(START, UPRIGHT, END, wanting(UPRIGHT)),
         "linear_velocity": lambda: pgccd.RigidMotion.from_velocity(START, UPRIGHT, wanting(END), velocity, 0.1),

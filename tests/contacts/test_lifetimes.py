@@ -38,8 +38,7 @@ def _captured(call: Any) -> Callable[[dict[str, Any]], Any]:
 
 
 def _world(given: dict[str, Any]) -> World:
-    motion = given["motion"]
-    return World.create([pgccd.Mesh.box([1.0, 1.0, 1.0])], (-1.0,) * 3, (10.0,) * 3, motion.position_t0)
+    return World.create(given["scene"], given["motion"].position_t0, (-1.0,) * 3, (10.0,) * 3)
 
 
 ROOM = pgccd.Capacity.of(3)

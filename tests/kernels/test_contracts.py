@@ -121,3 +121,11 @@ def test_numbers_of_a_world(fields: Any) -> None:
     assert found is not None
     declared = re.findall(r"(?:int64_t|double) ([\w, ]+);", found.group(1))
     assert [name.strip() for names in declared for name in names.split(",")] == list(fields._fields)
+
+
+def test_options_of_a_query() -> None:
+    text = (CSRC / "bind/padded_ops.h").read_text()
+    assert "struct QueryOptions {\n  int64_t nonzero_toi, tests_start, report;\n};" in text
+    for options in ((False, True, "all"), (True, False, "any")):
+        query = Query(options[2], 0.0, None, options[0], "report" if options[1] else "assume_free")  # type: ignore[arg-type]
+        assert query.options == [options[0], options[1], narrow.REPORTS[options[2]]]

@@ -130,9 +130,7 @@ def distributed() -> None:
     for case in (rigid, along):
         scene, motion = case()
         start = motion.position_t0 if isinstance(motion, pgccd.RigidMotion) else motion.position[0]
-        world = pgccd.distributed.World.create(
-            scene.meshes.meshes, (-4.0,) * 3, (4.0,) * 3, start, mesh_index=scene.mesh_index, margin=scene.margin
-        )
+        world = pgccd.distributed.World.create(scene, start, (-4.0,) * 3, (4.0,) * 3)
         world.first_toi(world.step(motion))
 
 

@@ -85,7 +85,7 @@ def test_boxes_hold_points_that_vanish(axis: int) -> None:
 def overlap(start: np.ndarray, end: np.ndarray, radius: np.ndarray, separation: float) -> None:
     """Asserts that the pair is found, and that the boxes overlap."""
     assert agreed(start, end, radius, separation).tolist() == [[0, 1]]
-    lower, upper = (x.numpy() for x in ops.swept_boxes(*tensors(start, end, radius), separation, 0.0))
+    lower, upper = (x.numpy() for x in ops.swept_boxes(tensors(start, end, radius), separation, 0.0))
     assert (lower[0] <= upper[1]).all() and (lower[1] <= upper[0]).all()
 
 

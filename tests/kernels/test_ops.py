@@ -138,7 +138,7 @@ def recorded(device: torch.device) -> list[Call]:
             stages_alone(pgccd.MovingBodies.of(scene, moved))
             meet_in_boxes(device)
             moving = pgccd.MovingBodies.of(scene, bodies.motion(device=device))
-            ops.swept_boxes(moving.position_t0, moving.position_t1, moving.radius, 0.01, -1e-6)
+            ops.swept_boxes(moving.swept_spheres, 0.01, -1e-6)
             share_out(moving)
             if device.type == "cpu" and closeness == 0.7:
                 PCCCD.create(bodies.meshes).detect(bodies.motion(), mesh_index=scene.mesh_index)
@@ -215,7 +215,7 @@ def test_fake_kernels_have_the_right_shapes(device: torch.device, every: int) ->
 def test_compile_the_sweep(device: torch.device) -> None:
     @torch.compile(fullgraph=True, dynamic=True, backend="aot_eager")
     def pairs_of(start: torch.Tensor, end: torch.Tensor, radius: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        pairs = ops.broad_pairs(start, end, 1.5 * radius, None, None, None, None, None, 0.0, 0.0, 0, -1)
+        pairs = ops.broad_pairs((start, end, 1.5 * radius), 0.0, 0.0, 0, -1)
         offset = start[pairs[:, 1]] - start[pairs[:, 0]]
         return pairs, offset.norm(dim=1)
 
@@ -224,9 +224,7 @@ def test_compile_the_sweep(device: torch.device) -> None:
         start = spread * rng.uniform(-1, 1, (count, 3))
         columns = tensors(start, start + 0.1, np.full(count, 0.5), device=device)
         pairs, distance = pairs_of(*columns)
-        expected = ops.broad_pairs(
-            columns[0], columns[1], 1.5 * columns[2], None, None, None, None, None, 0.0, 0.0, 0, -1
-        )
+        expected = ops.broad_pairs((columns[0], columns[1], 1.5 * columns[2]), 0.0, 0.0, 0, -1)
         assert torch.equal(pairs, expected) and distance.shape == (len(pairs),)
         assert (len(pairs) == 0) == (spread == 1e6)
 
@@ -263,11 +261,33 @@ def test_compile_with_the_default_backend(device: torch.device) -> None:
 def test_operators_complain_themselves(device: torch.device) -> None:
     columns = tensors(*np.zeros((2, 5, 3)), np.ones(5), device=device)
     with pytest.raises(RuntimeError, match="position_t0: wrong dtype"):
-        ops.broad_pairs(columns[0].float(), *columns[1:], None, None, None, None, None, 0.0, 0.0, 0, -1)
+        ops.broad_pairs((columns[0].float(), *columns[1:]), 0.0, 0.0, 0, -1)
     with pytest.raises(RuntimeError, match="expected size 5 in dimension 0, got 4"):
-        ops.broad_pairs(columns[0], columns[1][:4], columns[2], None, None, None, None, None, 0.0, 0.0, 2, -1)
+        ops.broad_pairs((columns[0], columns[1][:4], columns[2]), 0.0, 0.0, 2, -1)
     with pytest.raises(RuntimeError, match="capacity: expected 3 numbers, got 1"):
-        ops.pairs_padded(*columns, None, None, None, None, None, None, 0.0, 0.0, 1, [8])
+        ops.pairs_padded(columns, None, 0.0, 0.0, 1, [8])
+    for swept, got in ((columns[:2], 2), ([*columns, *[None] * 7], 10)):
+        with pytest.raises(RuntimeError, match=f"swept: expected 3 to 9 tensors, got {got}"):
+            ops.broad_pairs(swept, 0.0, 0.0, 0, -1)
+    for k in range(3):
+        with pytest.raises(RuntimeError, match="swept: expected position_t0, position_t1 and radius first"):
+            ops.broad_pairs([*columns[:k], None, *columns[k + 1 :]], 0.0, 0.0, 0, -1)
+    names = ("group", "mask", "world", "is_static", "in_other_search", "boxes")
+    for k, name in enumerate(names, 3):
+        with pytest.raises(RuntimeError, match=f"{name}: "):  # one body too many
+            ops.broad_pairs([*columns, *[None] * (k - 3), torch.zeros(6, device=device)], 0.0, 0.0, 0, -1)
+
+
+def test_a_step_complains_itself(device: torch.device) -> None:
+    _, arguments = next(call for call in recorded(device) if call[0] == "detect_rigid")
+    _, _, _, swept, _, _, _, _, options, *_ = arguments
+    fewer = tuple(None if column is None else column[:-1] for column in swept)
+    for at, value, error in (
+        (3, fewer, "swept: expected .*, one a body"),
+        (8, options[:2], "options: expected 3 values"),
+    ):
+        with pytest.raises(RuntimeError, match=error):
+            torch.ops.pgccd.detect_rigid(*arguments[:at], value, *arguments[at + 1 :])
 
 
 @pytest.mark.cuda
@@ -278,11 +298,11 @@ def test_out_of_memory_is_an_exception() -> None:
     torch.cuda.set_per_process_memory_fraction(0.005)
     try:
         with pytest.raises(RuntimeError, match=r"(?i)memory"):
-            ops.broad_pairs(*columns, None, None, None, None, None, 0.0, 0.0, 0, -1)  # 800 million pairs
+            ops.broad_pairs(columns, 0.0, 0.0, 0, -1)  # 800 million pairs
     finally:
         torch.cuda.set_per_process_memory_fraction(1.0)
     few = [column[:50] for column in columns]
-    assert len(ops.broad_pairs(*few, None, None, None, None, None, 0.0, 0.0, 0, -1)) == 50 * 49 // 2
+    assert len(ops.broad_pairs(few, 0.0, 0.0, 0, -1)) == 50 * 49 // 2
 
 
 def test_layout_does_not_matter(device: torch.device) -> None:

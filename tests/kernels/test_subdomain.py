@@ -29,7 +29,7 @@ def bodies(partition: Cells, count: int, generator: torch.Generator) -> list[tor
 
 def cells_of_boxes(partition: Cells, centres: list[torch.Tensor]) -> list[set[int]]:
     """The cells that each body's box reaches, one by one."""
-    lower, upper = ops.swept_boxes(*centres, SEPARATION, 0.0)
+    lower, upper = ops.swept_boxes(centres, SEPARATION, 0.0)
     found = []
     for first, last in zip(partition.coordinates(lower).tolist(), partition.coordinates(upper).tolist(), strict=True):
         axes = [range(a, b + 1) for a, b in zip(first, last, strict=True)]
@@ -52,8 +52,8 @@ def test_operators_agree_with_brute_force(data: st.DataObject) -> None:
     cells, ghost_cells = cells_of_boxes(partition, centres), cells_of_boxes(partition, ghosts)
     crossing = [any(owner[cell] != rank for cell in reached) for reached in cells]
 
-    lower, upper = ops.swept_boxes(*centres, SEPARATION, 0.0)
-    ghost_lower, ghost_upper = ops.swept_boxes(*ghosts, SEPARATION, 0.0)
+    lower, upper = ops.swept_boxes(centres, SEPARATION, 0.0)
+    ghost_lower, ghost_upper = ops.swept_boxes(ghosts, SEPARATION, 0.0)
     near = []
     for body, reached in enumerate(cells):
         for cell in (cell for cell in reached if owner[cell] == rank):
@@ -160,11 +160,11 @@ def test_bodies_whose_boxes_just_touch_a_ghost_are_near(device: torch.device, ax
     radius = 0.01 + 0.1 * torch.rand(200, dtype=torch.float64, generator=generator)
     centre = ghost.repeat(200, 1)
     ghosts, bodies = [ghost, ghost, torch.tensor([0.125], dtype=torch.float64)], [centre, centre, radius]
-    low, high = ops.swept_boxes(*ghosts, 0.0, 0.0)
+    low, high = ops.swept_boxes(ghosts, 0.0, 0.0)
     at = (low if side < 0.0 else high)[0, axis]
-    lower, upper = ops.swept_boxes(*bodies, 0.0, 0.0)
+    lower, upper = ops.swept_boxes(bodies, 0.0, 0.0)
     centre[:, axis] = at + side * 0.5 * (upper - lower)[:, axis]
-    lower, upper = ops.swept_boxes(*bodies, 0.0, 0.0)
+    lower, upper = ops.swept_boxes(bodies, 0.0, 0.0)
     touching = torch.nonzero((upper if side < 0.0 else lower)[:, axis] == at)[:, 0]
     assert len(touching) > 20
     columns = [[column[rows].to(device) for column in those] for those, rows in ((bodies, touching), (ghosts, [0]))]
@@ -189,20 +189,20 @@ def test_cells_far_apart_share_a_box_of_ghosts(device: torch.device) -> None:
     owner = partition.owner.tolist()
 
     def cells(those: list[torch.Tensor]) -> list[list[tuple[int, int, int]]]:
-        corners = ops.swept_boxes(*those, 0.0, 0.0)
+        corners = ops.swept_boxes(those, 0.0, 0.0)
         ranges = zip(*(partition.coordinates(corner).tolist() for corner in corners), strict=True)
         axes = ([range(a, b + 1) for a, b in zip(first, last, strict=True)] for first, last in ranges)
         return [list(itertools.product(*each)) for each in axes]
 
     def near(most: int) -> list[int]:
         """Bodies that overlap the box around the ghosts in cells of rank 0 with equal coordinates modulo `most`."""
-        ghost_lower, ghost_upper = ops.swept_boxes(*ghosts, 0.0, 0.0)
+        ghost_lower, ghost_upper = ops.swept_boxes(ghosts, 0.0, 0.0)
         around: dict[tuple[int, ...], list[int]] = {}
         for ghost, reached in enumerate(cells(ghosts)):
             for x, y, z in reached:
                 if owner[(x * partition.grid[1] + y) * partition.grid[2] + z] == 0:
                     around.setdefault((x % most, y % most, z % most), []).append(ghost)
-        lower, upper = ops.swept_boxes(*centres, 0.0, 0.0)
+        lower, upper = ops.swept_boxes(centres, 0.0, 0.0)
         found = []
         for body, reached in enumerate(cells(centres)):
             for cell in {(x % most, y % most, z % most) for x, y, z in reached} & around.keys():

@@ -34,7 +34,7 @@ def found_by(way: Any, start: Any, end: Any, radius: Any, separation: float = 0.
         torch.as_tensor(filters[k], dtype=t, device=device) if filters.get(k) is not None else None
         for k, t in types.items()
     ]
-    return operator(*columns, *bits, None, separation, tolerance, *settings, at_any_times).cpu()
+    return operator((*columns, *bits), separation, tolerance, *settings, at_any_times).cpu()
 
 
 def check(start: Any, end: Any, radius: Any, separation: float = 0.0, **filters: Any) -> np.ndarray:

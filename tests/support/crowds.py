@@ -33,11 +33,14 @@ class Crowd:
         columns = (self.position, self.orientation, self.velocity, self.rotation)
         return pgccd.RigidMotion.from_velocity(*(column[rows] for column in columns), dt=1.0)
 
+    def scene(self, rows: Tensor) -> pgccd.Scene:
+        """Some of the bodies."""
+        return pgccd.Scene(self.meshes, self.mesh_index, **self.filters)[rows]
+
     def detect(self, report: str) -> pgccd.Contacts:
         """Contacts found by one process."""
-        scene = pgccd.Scene(self.meshes, self.mesh_index, **self.filters)
         every_body = torch.arange(len(self.position))
-        return detected(scene, self.motion(every_body), report, self.min_separation)
+        return detected(self.scene(every_body), self.motion(every_body), report, self.min_separation)
 
 
 @cache

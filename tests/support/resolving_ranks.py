@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 import pgccd
-from pgccd.distributed import BalanceOptions, Comm, World
+from pgccd.distributed import BalanceOptions, Comm, World, WorldOptions
 from pgccd.distributed.halo.vertices import Vertices, vertex_counts
 from support.random_scenes import RandomScene, random_scene
 from support.same_bits import difference
@@ -154,21 +154,16 @@ def resolve_crowds(comm: Comm, seed: int, crowds: int, bodies: int, deforming: b
     scene, motion, mesh_index = made.scene, made.motion, made.scene.mesh_index
     start = torch.tensor(made.start)
     mine = torch.arange(comm.rank, len(start), comm.size).flip(0)
-    columns: dict[str, Any] = {"world": scene.world, "static": scene.static != 0, "mesh_index": mesh_index}
-    if scene.margin is not None:
-        columns["margin"] = scene.margin
-    payload = {"movable": made.movable[mine]}
+    partition = "cells" if seed % 2 else "bisection"
     world = World.create(
-        scene.meshes.meshes,
+        scene[mine],
+        start[mine],
         (0.0,) * 3,
         tuple(start.amax(dim=0).tolist()),
-        start[mine],
         id=mine,
-        payload=payload,
+        payload={"movable": made.movable[mine]},
         comm=comm,
-        balance=BalanceOptions("none"),
-        partition="cells" if seed % 2 else "bisection",
-        **{name: column[mine] for name, column in columns.items()},
+        options=WorldOptions(balance=BalanceOptions("none"), partition=partition),
     )
     own = world.id
     if isinstance(motion, pgccd.VertexMotion):

@@ -8,12 +8,13 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import torch
 from torch import Tensor
 
 import pgccd
-from pgccd.distributed import BalanceOptions, Comm, World
+from pgccd.distributed import BalanceOptions, Comm, World, WorldOptions
 from support.hard_scenes import hard_scene
 from support.random_scenes import RandomScene
 from support.ranks import RankPool
@@ -207,22 +208,24 @@ def world_of(comm: Comm, scene: RandomScene, device: str) -> World:
     exclude = None
     if scene.exclude is not None and (comm.rank or comm.size == 1):  # the pairs of all ranks count
         exclude = _id_of(scene.exclude).to(device)[max(0, comm.rank - 1) :: max(1, comm.size - 1)]
-    world = World.create(
-        scene.meshes,
-        tuple((position.amin(dim=0) - 1.0).tolist()),
-        tuple((position.amax(dim=0) + 1.0).tolist()),
-        position[mine].to(device),
-        id=_id_of(mine).to(device),
-        mesh_index=scene.mesh_index[mine].to(device),
-        comm=comm,
+    filters: Any = {name: column[mine] for name, column in scene.filters.items()}
+    options = WorldOptions(
         path="linear" if scene.kind == "linear" else "rigid",
         partition="cells" if by_cells else "bisection",
         balance=BalanceOptions("none"),
         overlap=scene.seed % 3 == 0,
         **({"cells": 3} if by_cells else {}),
-        **{name: column[mine].to(device) for name, column in scene.filters.items()},
-        exclude=exclude,
         **(scene.arguments | {"report": of_contacts(scene.arguments["report"])}),
+    )
+    world = World.create(
+        pgccd.Scene(scene.meshes, scene.mesh_index[mine], **filters).to(device),
+        position[mine].to(device),
+        tuple((position.amin(dim=0) - 1.0).tolist()),
+        tuple((position.amax(dim=0) + 1.0).tolist()),
+        id=_id_of(mine).to(device),
+        exclude=exclude,
+        comm=comm,
+        options=options,
     )
     if by_cells:
         owner = torch.randint(comm.size, (world.partition.cell_count,), generator=generator).to(device)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import torch
 from torch import Tensor
 
 import pgccd
-from pgccd.distributed import BalanceOptions, Bisection, Comm, World
+from pgccd.distributed import BalanceOptions, Bisection, Comm, World, WorldOptions
 from support.ranks import to_all
 from support.reports import detected, of_contacts, stepped
 from support.shapes import tetrahedron
@@ -72,7 +73,7 @@ class Machine:
             assert folder is not None
             for name in _KEPT:
                 setattr(self, name, resume[name])
-            self.world = World.load(folder, MESHES, comm=comm, balance=self.balance(), **self.of_world())
+            self.world = World.load(folder, MESHES, comm=comm, options=self.of_world())
         self.counts = dict.fromkeys(("contacts", "stopped", "rounds", "touching", "unresolved", "excluded"), 0)
         self.check()
 
@@ -80,9 +81,10 @@ class Machine:
         """What a later machine goes on from, besides the checkpoint."""
         return {name: getattr(self, name) for name in _KEPT}
 
-    def of_world(self) -> dict[str, Any]:
+    def of_world(self, **more: Any) -> WorldOptions:
         """The options of the world."""
-        return self.options | {"report": of_contacts(self.options["report"])}
+        options = self.options | {"report": of_contacts(self.options["report"])}
+        return WorldOptions(balance=self.balance(), **options, **more)
 
     def balance(self) -> BalanceOptions:
         if self.rng.integers(3) == 0:
@@ -169,8 +171,9 @@ class Machine:
 
     def arguments(self, columns: Columns, rows: Tensor, ids: Tensor | None) -> dict[str, Any]:
         mine = {name: column[rows] for name, column in columns.items()}
-        given: dict[str, Any] = {name: mine[name] for name in self.given}
-        given["mesh_index"] = mine["mesh_index"]
+        filters: dict[str, Any] = {name: mine[name] for name in self.given}
+        given: dict[str, Any] = {"scene": pgccd.Scene(MESHES, mine["mesh_index"], **filters)}
+        given["position"] = mine["position"]
         given["payload"] = {name[1:]: column for name, column in mine.items() if name.startswith(".")}
         given["payload"]["fixed"] = mine["fixed"]
         if self.deforming:
@@ -206,19 +209,11 @@ class Machine:
         mine, given = self.passed(len(self.table["id"]), ids)
         arguments = self.arguments(self.table, mine, ids)
         cells = {"cells": self.cells} if self.partition == "cells" else {}
+        options = self.of_world(partition=self.partition, **cells)
+        options = replace(options, overlap=bool(self.rng.integers(2)))
+        exclude = self.more_excluded(given)
         world = World.create(
-            MESHES,
-            (0.0,) * 3,
-            (SIDE,) * 3,
-            self.table["position"][mine],
-            comm=self.comm,
-            partition=self.partition,
-            balance=self.balance(),
-            overlap=bool(self.rng.integers(2)),
-            exclude=self.more_excluded(given),
-            **cells,
-            **arguments,
-            **self.of_world(),
+            **arguments, lower=(0.0,) * 3, upper=(SIDE,) * 3, exclude=exclude, comm=self.comm, options=options
         )
         self.table["id"] = given
         self.sort()
@@ -237,7 +232,7 @@ class Machine:
             columns["position"][:] = columns["position"][:1]  # all at one place
         mine, given = self.passed(count, ids)
         exclude = self.more_excluded(torch.cat([self.table["id"], given]))
-        got = self.world.add(columns["position"][mine], exclude=exclude, **self.arguments(columns, mine, ids))
+        got = self.world.add(**self.arguments(columns, mine, ids), exclude=exclude)
         assert got.equal(given[mine]), (got, given[mine])
         columns["id"] = given
         self.table = {name: torch.cat([column, columns[name]]) for name, column in self.table.items()}

@@ -219,7 +219,7 @@ class Alone(Comm):
     """Communication of a single rank: every exchange is the identity.
 
     Example:
-        >>> world = pgccd.distributed.World.create([mesh], lower, upper, position, comm=pgccd.distributed.Alone())
+        >>> world = pgccd.distributed.World.create(scene, position, lower, upper, comm=pgccd.distributed.Alone())
     """
 
     transport = "none"

@@ -6,10 +6,42 @@ from dataclasses import dataclass, field
 
 from pgccd import arguments
 from pgccd.distributed.detection.excluded import Excluded
+from pgccd.distributed.partition.balance import BalanceOptions
+from pgccd.distributed.partition.cut import DEFAULT_AXES, DEFAULT_CELLS, Cut
+from pgccd.distributed.partition.interface import Point, Triple
 from pgccd.search import broad, narrow
 from pgccd.search.checks import Initial, check_separation, operator_tolerance
 from pgccd.search.memory import CapacityEstimate
 from pgccd.search.query import Query
+
+
+@dataclass(frozen=True)
+class RankOptions:
+    """How the work is distributed over ranks. No result depends on it.
+
+    Attributes:
+        partition: of space at the start: "cells" (`Cells.uniform`) or "bisection" (`Bisection.uniform`). "auto": that
+            of the checkpoint, or bisection; but cells if `axes` or `cells` is not the default or the policy of
+            `balance` is "one-cell".
+        axes, cells: as for `Cells.uniform`.
+        balance: options of load balancing.
+        overlap: whether pairs of own bodies are tested while ghosts are sent.
+        broad_phase: as for `pgccd.detect`.
+
+    Example:
+        >>> options = pgccd.distributed.RankOptions(balance=pgccd.distributed.BalanceOptions("none"))
+    """
+
+    partition: str = "auto"
+    axes: int = DEFAULT_AXES
+    cells: int | Triple = DEFAULT_CELLS
+    balance: BalanceOptions = field(default_factory=BalanceOptions)
+    overlap: bool = True
+    broad_phase: broad.BroadPhase = "auto"
+
+    def cut(self, lower: Point, upper: Point) -> Cut:
+        """The partition of a box at the start."""
+        return Cut(self.partition, lower, upper, self.axes, self.cells)
 
 
 @dataclass(frozen=True)

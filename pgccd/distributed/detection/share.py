@@ -80,7 +80,7 @@ class Share:
     def places(self) -> Places:
         """The positions of the work. Synchronises."""
         distances = self.options.distances
-        lower = [ops.swept_boxes(*each.bodies.swept_spheres, *distances)[0] for each in self.passes]
+        lower = [ops.swept_boxes(each.bodies.swept_spheres, *distances)[0] for each in self.passes]
         of_pairs = [_corners(corner, _pairs_of(each)) for each, corner in zip(self.passes, lower, strict=True)]
         of_contacts = [_corners(corner, each.find().pairs) for each, corner in zip(self.passes, lower, strict=True)]
         return Places(self.passes[0].bodies.position_t0, torch.cat(of_pairs), torch.cat(of_contacts))

@@ -22,15 +22,15 @@ from pgccd.motion.trajectory import Trajectory
 from pgccd.motion.validation import LARGEST_COORDINATE
 from pgccd.search.bodies import MovingBodies
 
-# Optional columns of scenes.
-_OPTIONAL = (*OPTIONAL_COLUMNS, "self_collision")
-#: All columns that detection reads.
-_OF_SCENES = ("id", "mesh_index", *_OPTIONAL)
+#: Optional columns of scenes.
+SCENE_COLUMNS = (*OPTIONAL_COLUMNS, "self_collision")
+# All columns that detection reads.
+_OF_SCENES = ("id", "mesh_index", *SCENE_COLUMNS)
 
 
 def scene_of(meshes: MeshSet, columns: Columns) -> Scene:
     """The scene of bodies with these columns."""
-    optional: dict[str, Any] = {name: columns[name] for name in _OPTIONAL if name in columns}
+    optional: dict[str, Any] = {name: columns[name] for name in SCENE_COLUMNS if name in columns}
     return Scene._of_checked(meshes, columns["mesh_index"], **optional)
 
 

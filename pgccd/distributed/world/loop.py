@@ -113,7 +113,7 @@ class CapturedWorld(RankSteps[WorldStep, Committed, "WorldGraph"]):
         for name, choice in (("movable", movable), ("tally", tally)):
             if choice is not None and not callable(choice):
                 raise TypeError(f"{name}: expected a function, got {arguments.describe(choice)}")
-        may_replay = not resolve or world.path == "rigid"
+        may_replay = not resolve or world.options.path == "rigid"
         if graph and not may_replay:
             raise ValueError("graph: steps on linear paths that are resolved cannot be replayed; leave it out")
         graph = may_replay and can_replay(world.comm, world.id.device) if graph is None else graph
@@ -187,7 +187,7 @@ class CapturedWorld(RankSteps[WorldStep, Committed, "WorldGraph"]):
         def settings() -> dict[str, Any]:
             nonlocal fixed
             fixed = fixed_of(self._movable, bodies)
-            return motion_facts(motion, world.path, world._meshes, world.mesh_index)
+            return motion_facts(motion, world.options.path, world.meshes, world.mesh_index)
 
         agree_on_step(world.comm, settings)
         found = world._fractions(motion, fixed, self._wants_graph)
@@ -195,8 +195,8 @@ class CapturedWorld(RankSteps[WorldStep, Committed, "WorldGraph"]):
 
     def _fits(self, graph: WorldGraph) -> bool:
         # Bodies that were added may have brought columns; all ranks have the same.
-        is_same = graph.columns.keys() == self._columns.keys() and graph.excluded is self._world.options.excluded
-        return is_same and super()._fits(graph)
+        has_same_columns = graph.columns.keys() == self._columns.keys()
+        return has_same_columns and graph.options is self._world._search_options and super()._fits(graph)
 
     def _try_to_capture(self, index: int) -> WorldGraph | None:
         world = self._world

@@ -18,7 +18,7 @@ class OwnBodies:
     """Rows of `id`, `position`, `mesh_index` and `payload`, by ascending id. Nothing here sends messages."""
 
     columns: Columns
-    _meshes: MeshSet
+    meshes: MeshSet
     _vertices: Vertices | None
     _scene: Scene | None = None
 
@@ -100,5 +100,5 @@ class OwnBodies:
     def _current_scene(self) -> Scene:
         """The scene of this rank's own bodies, kept until bodies migrate."""
         if self._scene is None or self._scene.mesh_index is not self.mesh_index:
-            self._scene = scene_of(self._meshes, self.columns)
+            self._scene = scene_of(self.meshes, self.columns)
         return self._scene

@@ -14,9 +14,10 @@ from pgccd.distributed.detection.ids import rows_of
 from pgccd.distributed.guard import of_all_ranks
 from pgccd.distributed.halo.vertices import Vertices
 from pgccd.distributed.launch.agreement import require_agreement, together
-from pgccd.distributed.world.input_checks import from_all_ranks, require_ids, require_positions, unknown_ids
-from pgccd.distributed.world.options import NewBodies, require_known
+from pgccd.distributed.world.input_checks import from_all_ranks, require_ids, unknown_ids
+from pgccd.distributed.world.options import NewBodies
 from pgccd.distributed.world.state import WorldState, bodies_given
+from pgccd.geometry.digest import meshes_digest
 
 # Values and dtypes of optional columns of bodies for which none is given: those of `pgccd.Scene`.
 _DEFAULTS: dict[str, tuple[float, torch.dtype]] = {
@@ -29,13 +30,13 @@ _DEFAULTS: dict[str, tuple[float, torch.dtype]] = {
 }
 
 
-def with_more(comm: Comm, state: WorldState, position: Tensor, bodies: NewBodies) -> tuple[WorldState, Tensor]:
+def with_more(comm: Comm, state: WorldState, bodies: NewBodies) -> tuple[WorldState, Tensor]:
     """A world with more bodies, which are on the ranks that passed them; see `World.add`.
 
     Args:
         comm: between the ranks.
         state: of the world.
-        position, bodies: of this rank's share of the new bodies.
+        bodies: this rank's share of the new bodies.
 
     Returns:
         The state, and the ids of the new bodies of this rank, (M,) int64, in the order of `position`.
@@ -43,13 +44,14 @@ def with_more(comm: Comm, state: WorldState, position: Tensor, bodies: NewBodies
     Raises:
         TypeError, ValueError: naming the argument; on all ranks.
     """
-    id = bodies.get("id")
+    id = bodies.id
 
     def check() -> tuple[Columns, Vertices | None]:
-        require_known(bodies)
-        positions = require_positions(position)
-        arguments.shape(positions, "position", ("M", 3), state.columns["id"].device)
-        columns, vertices = bodies_given(state.meshes, positions, bodies)
+        columns, vertices = bodies_given(bodies)
+        meshes = bodies.scene.meshes
+        if meshes is not state.meshes and meshes_digest(meshes.meshes) != meshes_digest(state.meshes.meshes):
+            raise ValueError("scene: expected one with the meshes of this world, `World.meshes`")
+        arguments.shape(columns["position"], "position", ("M", 3), state.columns["id"].device)
         if id is not None and len(id) and int(id.min()) < state.next_id:
             expected = f"new ids, from {state.next_id} on (smaller ones may have been used)"
             raise ValueError(f"id: expected {expected}, got {int(id.min())}")
@@ -70,7 +72,7 @@ def with_more(comm: Comm, state: WorldState, position: Tensor, bodies: NewBodies
     if state.vertices is not None and new.vertices is not None:
         order = torch.argsort(torch.cat([former["id"], added["id"]]))
         both = Vertices.join(state.vertices, new.vertices).take(order)
-    return replace(new, columns=joined, vertices=both).with_excluded(comm, bodies.get("exclude")), added["id"]
+    return replace(new, columns=joined, vertices=both).with_excluded(comm, bodies, added["id"]), added["id"]
 
 
 def without(comm: Comm, state: WorldState, ids: Tensor) -> WorldState:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,7 +13,6 @@ from pgccd import arguments
 from pgccd.distributed.checkpoint.partition import partition_header
 from pgccd.distributed.comm.exchange import Columns
 from pgccd.distributed.comm.interface import Comm
-from pgccd.distributed.detection.options import SearchOptions
 from pgccd.distributed.guard import of_all_ranks
 from pgccd.distributed.halo.vertices import Vertices, vertex_counts
 from pgccd.distributed.launch.agreement import require_agreement, together
@@ -23,6 +21,7 @@ from pgccd.distributed.partition.cut import Cut
 from pgccd.distributed.partition.interface import Partition
 from pgccd.distributed.world.input_checks import (
     LARGEST_ID,
+    SCENE_COLUMNS,
     from_all_ranks,
     ids_given,
     payload_columns,
@@ -31,12 +30,12 @@ from pgccd.distributed.world.input_checks import (
     require_unique,
     unknown_ids,
 )
-from pgccd.distributed.world.options import NewBodies
+from pgccd.distributed.world.options import NewBodies, WorldOptions
 from pgccd.geometry.digest import meshes_digest
-from pgccd.geometry.mesh import Mesh, MeshSet
-from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
+from pgccd.geometry.mesh import MeshSet
+from pgccd.geometry.scene import Scene
 from pgccd.geometry.scene_columns import pairs_never_tested
-from pgccd.motion.paths import PATHS
+from pgccd.search.bodies import check_scene
 
 
 @dataclass(frozen=True)
@@ -74,18 +73,20 @@ class WorldState:
         next_id = max(self.next_id, 1 - int(comm.min(torch.tensor([-largest]))))
         return replace(self, columns=self.columns | {"id": id}, next_id=next_id)
 
-    def with_excluded(self, comm: Comm, given: Any) -> WorldState:
-        """This state with more pairs that are never tested: those that any rank gives; None for none.
+    def with_excluded(self, comm: Comm, bodies: NewBodies, id: Tensor) -> WorldState:
+        """This state with more pairs that are never tested: those that any rank gives with bodies, of these ids (N,).
 
         Raises:
             TypeError, ValueError: naming the argument `exclude`; on all ranks.
         """
-        if not comm.any(given is not None):
+        given, of_scene = bodies.exclude, bodies.scene.exclude
+        if not comm.any(given is not None or of_scene is not None):
             return self
         own = self.columns["id"]
 
         def check() -> Tensor:
-            return pairs_never_tested([] if given is None else given, None, own.device)
+            pairs = pairs_never_tested([] if given is None else given, None, own.device)
+            return pairs if of_scene is None else torch.cat([pairs, id[of_scene].sort(dim=1).values])
 
         pairs = from_all_ranks(comm, together(comm, check).flatten()).view(-1, 2)
         unknown = unknown_ids(comm, own, pairs.unique())
@@ -103,73 +104,59 @@ class WorldState:
         return replace(self, exclude=pairs if len(pairs) else None)
 
 
-def state_given(
-    ranks: int, meshes: Sequence[Mesh], cut: Cut, balance: BalanceOptions, position: Tensor, bodies: NewBodies
-) -> WorldState:
-    """The state from this rank's arguments of `World`, validated.
+def state_given(ranks: int, bodies: NewBodies, cut: Cut, balance: BalanceOptions) -> WorldState:
+    """The state from this rank's share of the bodies, validated.
 
     Args:
         ranks: number of ranks.
-        meshes, cut, balance, position, bodies: as for `World.create`.
+        bodies: of this rank.
+        cut, balance: of the world.
 
     Raises:
         TypeError, ValueError: naming the argument.
     """
-    position = require_positions(position)
-    mesh_set = MeshSet(meshes, position.device)
-    partition = cut.uniform(ranks, position.device, balance)
-    columns, vertices = bodies_given(mesh_set, position, bodies)
-    return WorldState(mesh_set, cut, partition, columns, vertices, dtype=arguments.dtype_name(position.dtype))
+    columns, vertices = bodies_given(bodies)
+    meshes, dtype = bodies.scene.meshes, arguments.real_tensor(bodies.position, "position").dtype
+    partition = cut.uniform(ranks, meshes.device, balance)
+    return WorldState(meshes, cut, partition, columns, vertices, dtype=arguments.dtype_name(dtype))
 
 
-def bodies_given(mesh_set: MeshSet, position: Tensor, bodies: NewBodies) -> tuple[Columns, Vertices | None]:
+def bodies_given(bodies: NewBodies) -> tuple[Columns, Vertices | None]:
     """The columns and vertices of bodies from this rank's arguments, validated; without `exclude`.
 
-    Args:
-        mesh_set: on the device of `position`.
-        position, bodies: as for `World.create`.
-
     Raises:
         TypeError, ValueError: naming the argument.
     """
-    index = bodies.get("mesh_index")
-    index = torch.zeros(len(position), dtype=torch.int32) if index is None else index
-    given: dict[str, Any] = {name: column for name, column in bodies.items() if name in OPTIONAL_COLUMNS}
-    given = {name: column for name, column in given.items() if column is not None}
-    scene = Scene(mesh_set, index, self_collision=bodies.get("self_collision", False), **given)  # validates them
-    if scene.body_count != len(position):
-        raise ValueError(f"mesh_index: expected {len(position)} values, one a body, got {scene.body_count}")
-    columns = {"id": ids_given(bodies.get("id"), len(position), position.device), "mesh_index": scene.mesh_index}
+    scene = bodies.scene
+    if not isinstance(scene, Scene):
+        raise TypeError(f"scene: expected a pgccd.Scene, got {arguments.describe(scene)}")
+    check_scene(scene)
+    _ = scene.world_count  # validates `world`
+    position, number, device = require_positions(bodies.position), scene.body_count, scene.device
+    arguments.shape(position, "position", (number, 3), device)
+    columns = {"id": ids_given(bodies.id, number, device), "mesh_index": scene.mesh_index}
     columns["position"] = position.to(torch.float64)
-    columns |= {name: getattr(scene, name) for name in OPTIONAL_COLUMNS if name in given}
-    if scene.self_collision is not None:
-        columns["self_collision"] = scene.self_collision
-    count, vertices = vertex_counts(mesh_set, scene.mesh_index), None
-    payload, of_vertices = bodies.get("payload"), bodies.get("vertex_payload")
-    of_vertices = {} if of_vertices is None else of_vertices
-    of_vertices = payload_columns(of_vertices, "vertex_payload", int(count.sum()), position.device)
+    optional = {name: getattr(scene, name) for name in SCENE_COLUMNS}
+    columns |= {name: column for name, column in optional.items() if column is not None}
+    count, vertices = vertex_counts(scene.meshes, scene.mesh_index), None
+    payload, of_vertices = ({} if each is None else each for each in (bodies.payload, bodies.vertex_payload))
+    of_vertices = payload_columns(of_vertices, "vertex_payload", int(count.sum()), device)
     if of_vertices:
         vertices, columns["vertex_count"] = Vertices(of_vertices, count), count
-    columns |= payload_columns({} if payload is None else payload, "payload", len(position), position.device)
+    columns |= payload_columns(payload, "payload", number, device)
     if both := sorted(set(of_vertices) & set(columns)):
         raise ValueError(f"vertex_payload[{both[0][1:]!r}]: payload has a tensor of this name too")
     return columns, vertices
 
 
-def require_alike(
-    comm: Comm, state: WorldState, options: SearchOptions, balance: BalanceOptions, path: str, ids_given: bool
-) -> None:
-    """Raises an error, on all ranks, unless options are valid and all parameters equal on all ranks."""
-
-    def check() -> None:
-        options.check()
-        arguments.choice(path, "path", PATHS)
-
-    together(comm, check)
-    facts = {name: _plain(value) for part in (vars(state.cut), vars(options)) for name, value in part.items()}
+def require_alike(comm: Comm, state: WorldState, options: WorldOptions, ids_given: bool) -> None:
+    """Raises an error, on all ranks, unless all parameters are equal on all ranks."""
+    given = vars(options) | vars(state.cut)  # a checkpoint has its own cut
+    balance = given.pop("balance")
+    facts = {name: _plain(value) for name, value in given.items()}
     facts |= {f"balance.{name}": _plain(value) for name, value in vars(balance).items()}
-    facts |= {"path": path, "id": "given" if ids_given else "not given"}
     facts |= {
+        "id": "given" if ids_given else "not given",
         "meshes": meshes_digest(state.meshes.meshes),
         "position": (state.columns["position"].device.type, state.dtype),
     }

@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import partial
 from os import PathLike
 from pathlib import Path
-from typing import Any, Literal, Never, Unpack, overload
+from typing import Any, Literal, Never, overload
 
 import torch
 from torch import Tensor
@@ -18,7 +18,6 @@ from pgccd.contacts.contacts import CollidingPairs, Contacts
 from pgccd.contacts.trajectories import TrajectoryContacts
 from pgccd.distributed.comm.exchange import Columns, take_rows
 from pgccd.distributed.comm.interface import Alone, Comm
-from pgccd.distributed.detection.excluded import Excluded
 from pgccd.distributed.detection.options import SearchOptions
 from pgccd.distributed.detection.report import earliest_for_all, tell_owners
 from pgccd.distributed.detection.segments import Segments
@@ -27,10 +26,9 @@ from pgccd.distributed.guard import collective
 from pgccd.distributed.halo.migrate import IdChecksum, migrate
 from pgccd.distributed.halo.vertices import Vertices
 from pgccd.distributed.launch.agreement import agree_on_step, together
-from pgccd.distributed.partition.balance import PAIR_COST, BalanceOptions, RankLoads
-from pgccd.distributed.partition.cut import DEFAULT_AXES, DEFAULT_CELLS, Cut
+from pgccd.distributed.partition.balance import PAIR_COST, RankLoads
 from pgccd.distributed.partition.decomposition import Decomposition
-from pgccd.distributed.partition.interface import Partition, Point, Triple
+from pgccd.distributed.partition.interface import Partition, Point
 from pgccd.distributed.steps.rank import Rank
 from pgccd.distributed.world.input_checks import (
     columns_to_send,
@@ -40,7 +38,7 @@ from pgccd.distributed.world.input_checks import (
     scene_columns,
     scene_of,
 )
-from pgccd.distributed.world.options import Movable, Names, NewBodies
+from pgccd.distributed.world.options import Movable, Names, NewBodies, WorldOptions, options_given
 from pgccd.distributed.world.own_bodies import OwnBodies
 from pgccd.distributed.world.population import with_more, without
 from pgccd.distributed.world.resolve import (
@@ -57,16 +55,13 @@ from pgccd.distributed.world.world_checkpoint import Saving, load_state, save_st
 from pgccd.geometry.mesh import Mesh
 from pgccd.geometry.scene import Scene
 from pgccd.geometry.scene_columns import bool_column
-from pgccd.motion.paths import PathKind, RigidMotion, VertexMotion
+from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
 from pgccd.resolution.listed import are_near, is_on_arcs, travels_of
 from pgccd.resolution.results import M
 from pgccd.resolution.trajectories import TrajectoryResolution, resolve_segments
 from pgccd.runtime.stages import StageClock
-from pgccd.search import narrow
 from pgccd.search.bodies import MovingBodies
-from pgccd.search.broad import BroadPhase
-from pgccd.search.checks import Initial
 from pgccd.search.passes import search_seconds
 
 
@@ -78,8 +73,8 @@ class World(OwnBodies):
 
     Attributes:
         comm: between the ranks.
-        options: of the detection.
-        path: of the motions of rigid bodies: "rigid" or "linear", as of `RigidMotion`.
+        options: as given.
+        meshes: a `pgccd.MeshSet`, for the scenes of further bodies.
         id_checksum: number of all bodies, and a hash of their ids, which migration preserves.
         columns: of this rank's own bodies, by name; names of the payload begin with ".".
         steps_made: number of calls of `step` and `collide`. A loop that searches a step several times has to count its
@@ -89,28 +84,19 @@ class World(OwnBodies):
         header: as passed to `save` for the checkpoint that the world was loaded from; None without one.
 
     Example:
-        >>> world = pgccd.distributed.World.create([rock], (0, 0, 0), (9, 9, 9), x, payload={"velocity": v}, comm=comm)
+        >>> world = pgccd.distributed.World.create(scene, x, (0, 0, 0), (9, 9, 9), payload={"velocity": v}, comm=comm)
         >>> hits = world.step(pgccd.RigidMotion.from_velocity(world.position, q, world.payload["velocity"], w, dt=0.1))
     """
 
     def __init__(self, *given: Never, **named: Never) -> None:
         raise TypeError(
-            "World: it is made by World.create(meshes, lower, upper, position, ...) or World.load(folder, ...)"
+            "World: it is made by World.create(scene, position, lower, upper, ...) or World.load(folder, ...)"
         )
 
-    def _set(
-        self,
-        comm: Comm,
-        options: SearchOptions,
-        balance: BalanceOptions,
-        path: PathKind,
-        state: WorldState,
-        checksum: IdChecksum,
-    ) -> None:
-        self.comm, self.path = comm, path
-        self.options = replace(options, excluded=Excluded.of(state.exclude))
-        self._rank = Rank(Decomposition(comm, state.partition), balance)
-        self._meshes, self._cut, self.id_checksum = state.meshes, state.cut, checksum
+    def _set(self, comm: Comm, options: WorldOptions, state: WorldState, checksum: IdChecksum) -> None:
+        self.comm, self.options, self._search_options = comm, options, options.search(state.exclude)
+        self._rank = Rank(Decomposition(comm, state.partition), options.balance)
+        self.meshes, self._cut, self.id_checksum = state.meshes, state.cut, checksum
         self.found: Share | None = None
         self.steps_made, self._seconds = state.steps_made, 0.0
         self.columns, self._vertices, self.next_id = state.columns, state.vertices, state.next_id
@@ -121,85 +107,54 @@ class World(OwnBodies):
     @collective
     def create(
         cls,
-        meshes: Sequence[Mesh],
+        scene: Scene,
+        position: Tensor,
         lower: Point,
         upper: Point,
-        position: Tensor,
         *,
         id: Tensor | None = None,
-        mesh_index: Tensor | None = None,
-        group: Tensor | None = None,
-        mask: Tensor | None = None,
-        world: Tensor | None = None,
-        static: Tensor | None = None,
-        margin: Tensor | float | None = None,
         exclude: Tensor | Sequence[Sequence[int]] | None = None,
-        self_collision: Tensor | bool = False,
         payload: dict[str, Tensor] | None = None,
         vertex_payload: dict[str, Tensor] | None = None,
         comm: Comm | None = None,
-        report: narrow.Report = "first",
-        min_separation: float = 0.0,
-        tolerance: float | None = None,
-        nonzero_toi: bool = False,
-        initial: Initial = "report",
-        broad_phase: BroadPhase = "auto",
-        path: PathKind = "rigid",
-        partition: Literal["auto", "cells", "bisection"] = "auto",
-        axes: int = DEFAULT_AXES,
-        cells: int | Triple = DEFAULT_CELLS,
-        balance: BalanceOptions | None = None,
-        overlap: bool = True,
+        options: WorldOptions | None = None,
     ) -> World:
         """Makes a world of any share of the bodies from each rank.
 
         Args:
-            meshes: equal on all ranks.
+            scene: N bodies, this rank's share, on the device to use. Its meshes are equal on all ranks; optional
+                columns (`group`, `margin`, ...) are given on all ranks or on none. They are copied.
+            position: (N, 3) float64 positions of their origins, length units, world frame.
             lower, upper: corners of the world's box, length units. Bodies may leave it.
-            position: (N, 3) float64 positions of the origins of this rank's share of bodies, length units, world frame,
-                on the device to use.
             id: (N,) int64 global ids >= 0, unique over all ranks. Default: consecutive, rank by rank; an error if two
                 ranks pass the same bodies, as if each were to pass all.
-            mesh_index: (N,) integers: mesh of each body. Default: the first.
-            group, mask, world, static, margin: (N,), as for `pgccd.Scene`. Either on all ranks or on none.
-            exclude: (E, 2) integers: global ids of pairs of bodies that are never tested, in any order. The pairs of
-                all ranks count; each rank keeps them all.
-            self_collision: (N,) bool or bool: which deforming bodies are tested against themselves.
+            exclude: (E, 2) integers: global ids of further pairs of bodies that are never tested, of any ranks, in any
+                order. The pairs of all ranks count, with those of their scenes; each rank keeps them all.
             payload: named tensors (N, ...) that migrate with the bodies: orientations, velocities, and so on.
             vertex_payload: named tensors (X, ...) with one row per vertex (of the first body, in the order of its mesh,
                 then of the second, ...) that migrate with the bodies: the vertices of deforming bodies.
             comm: between the ranks. Default: one rank.
-            report, min_separation, tolerance, nonzero_toi, initial, broad_phase: as for `pgccd.detect`.
-            path: of all motions, as for `pgccd.RigidMotion`.
-            partition: of space: "cells" (`Cells.uniform`) or "bisection" (`Bisection.uniform`). "auto": bisection, or
-                cells if `axes` or `cells` is not the default or the policy of `balance` is "one-cell".
-            axes, cells: as for `Cells.uniform`.
-            balance: options of load balancing.
-            overlap: test pairs of own bodies while ghosts are sent. The result does not depend on it.
+            options: of detection and distribution, equal on all ranks. Default: those of `WorldOptions()`.
 
         Raises:
             TypeError, ValueError: naming the argument; on all ranks.
         """
-        comm, balance = comm or Alone(), balance or BalanceOptions()
-        options = SearchOptions(report, min_separation, tolerance, nonzero_toi, broad_phase, overlap, initial)
-        bodies: NewBodies = {"id": id, "mesh_index": mesh_index, "group": group, "mask": mask, "world": world}
-        bodies |= {"static": static, "margin": margin, "self_collision": self_collision}
-        bodies |= {"payload": payload, "vertex_payload": vertex_payload}
-        cut = Cut(partition, lower, upper, axes, cells)
-        state = together(comm, lambda: state_given(comm.size, meshes, cut, balance, position, bodies))
-        require_alike(comm, state, options, balance, path, id is not None)
-        state = state.with_ids(comm, id is not None).with_excluded(comm, exclude)
-        return cls._begin(comm, options, balance, path, state)
+        comm = comm or Alone()
+        options = options_given(comm, options)
+        bodies = NewBodies(scene, position, id, exclude, payload, vertex_payload)
+        cut = options.cut(lower, upper)
+        state = together(comm, lambda: state_given(comm.size, bodies, cut, options.balance))
+        require_alike(comm, state, options, id is not None)
+        state = state.with_ids(comm, id is not None)
+        return cls._begin(comm, options, state.with_excluded(comm, bodies, state.columns["id"]))
 
     @classmethod
-    def _begin(
-        cls, comm: Comm, options: SearchOptions, balance: BalanceOptions, path: PathKind, state: WorldState
-    ) -> World:
+    def _begin(cls, comm: Comm, options: WorldOptions, state: WorldState) -> World:
         ascending = torch.argsort(state.columns["id"])
         vertices = None if state.vertices is None else state.vertices.take(ascending)
         state = replace(state, columns=take_rows(state.columns, ascending), vertices=vertices)
         world = cls.__new__(cls)
-        world._set(comm, options, balance, path, state, IdChecksum.of_ranks(comm, state.columns["id"]))
+        world._set(comm, options, state, IdChecksum.of_ranks(comm, state.columns["id"]))
         world._change_hands()
         return world
 
@@ -212,15 +167,7 @@ class World(OwnBodies):
         *,
         comm: Comm | None = None,
         device: torch.device | str = "cpu",
-        report: narrow.Report = "first",
-        min_separation: float = 0.0,
-        tolerance: float | None = None,
-        nonzero_toi: bool = False,
-        initial: Initial = "report",
-        broad_phase: BroadPhase = "auto",
-        path: PathKind = "rigid",
-        balance: BalanceOptions | None = None,
-        overlap: bool = True,
+        options: WorldOptions | None = None,
     ) -> World:
         """Restores the newest checkpoint in a folder, see `save`. The steps that follow are bitwise identical to those
         of the saved world.
@@ -232,9 +179,9 @@ class World(OwnBodies):
         Args:
             folder: as for `save`.
             meshes: equal to those of the saved world.
+            comm: between the ranks. Default: one rank.
             device: of the bodies.
-            comm, report, min_separation, tolerance, nonzero_toi, initial, broad_phase, path, balance, overlap: as for
-                `create`.
+            options: as for `create`; but `partition`, `axes` and `cells` are those of the checkpoint.
 
         Raises:
             FileNotFoundError: there is no checkpoint; on all ranks.
@@ -245,11 +192,11 @@ class World(OwnBodies):
             >>> world.save("out/world")
             >>> world = pgccd.distributed.World.load("out/world", [rock], comm=comm)
         """
-        comm, balance = comm or Alone(), balance or BalanceOptions()
-        options = SearchOptions(report, min_separation, tolerance, nonzero_toi, broad_phase, overlap, initial)
-        state = load_state(comm, folder, meshes, device, balance)
-        require_alike(comm, state, options, balance, path, ids_given=True)
-        return cls._begin(comm, options, balance, path, state)
+        comm = comm or Alone()
+        options = options_given(comm, options)
+        state = load_state(comm, folder, meshes, device, options.balance)
+        require_alike(comm, state, options, ids_given=True)
+        return cls._begin(comm, options, state)
 
     @collective
     def save(
@@ -304,14 +251,15 @@ class World(OwnBodies):
 
     @property
     def _state(self) -> WorldState:
-        meshes, cut, partition = self._meshes, self._cut, self.partition
+        meshes, cut, partition = self.meshes, self._cut, self.partition
         state = WorldState(meshes, cut, partition, self.columns, self._vertices, self.steps_made, next_id=self.next_id)
         return replace(state, exclude=self.exclude)
 
     @property
     def exclude(self) -> Tensor | None:
         """(E, 2) int64 global ids i < j, sorted: pairs that are never tested, equal on all ranks; None without any."""
-        return None if self.options.excluded is None else self.options.excluded.pairs
+        excluded = self._search_options.excluded
+        return None if excluded is None else excluded.pairs
 
     @property
     def partition(self) -> Partition:
@@ -389,7 +337,7 @@ class World(OwnBodies):
         def settings() -> dict[str, Any]:
             nonlocal fixed
             arguments.flag(resolve, "resolve")
-            facts = motion_facts(motion, self.path, self._meshes, self.mesh_index)
+            facts = motion_facts(motion, self.options.path, self.meshes, self.mesh_index)
             if movable is not None:
                 if not resolve:
                     raise ValueError("movable: can only be given with resolve=True")
@@ -405,10 +353,11 @@ class World(OwnBodies):
         report: Any = self.options.report
         if isinstance(motion, Trajectory):
             # The earliest is selected from the first contacts of all segments.
-            of_segments = replace(self.options, report="first") if report == "earliest" else self.options
+            options = self._search_options
+            of_segments = replace(options, report="first") if report == "earliest" else options
             segments, share, carried = self._search_segments(motion, of_segments, carried)
             return segments.contacts_for_owners(self.comm, share, report, carried)
-        share = self._search(self.id, scene, motion, self.options, carried)
+        share = self._search(self.id, scene, motion, self._search_options, carried)
         if report == "earliest":
             return earliest_for_all(self.comm, share, payload=carried)
         contacts = tell_owners(share, carried)
@@ -437,11 +386,11 @@ class World(OwnBodies):
         self.comm.guard.activity = "step"
 
         def settings() -> dict[str, Any]:
-            facts = motion_facts(motion, self.path, self._meshes, self.mesh_index)
+            facts = motion_facts(motion, self.options.path, self.meshes, self.mesh_index)
             return facts | {"payload": payload_asked(payload, self.columns)}
 
         carried = {name: self.columns[name] for name in agree_on_step(self.comm, settings)["payload"]}
-        options = replace(self.options, report="any", nonzero_toi=False)
+        options = replace(self._search_options, report="any", nonzero_toi=False)
         if isinstance(motion, Trajectory):
             segments, share, carried = self._search_segments(motion, options, carried)
             return segments.pairs_for_owners(share, carried)
@@ -460,7 +409,7 @@ class World(OwnBodies):
             own["margin"] = margin
         if options.excluded is not None:
             options = replace(options, excluded=options.excluded.in_segments(segments.ids))
-        share = self._search(own["id"], scene_of(self._meshes, own), motion.steps(), options, carried)
+        share = self._search(own["id"], scene_of(self.meshes, own), motion.steps(), options, carried)
         return segments, share, carried
 
     def _resolve(
@@ -488,7 +437,7 @@ class World(OwnBodies):
             bodies = MovingBodies.of(scene, motion, wait=False)
             lists = are_near(self.comm.sum(travels_of(bodies)))
         marks = {} if fixed is None else {"fixed": fixed}
-        return self._search(self.id, scene, motion, options_of_resolution(self.options, lists), carried | marks)
+        return self._search(self.id, scene, motion, options_of_resolution(self._search_options, lists), carried | marks)
 
     def _fractions(self, motion: RigidMotion, fixed: Tensor | None, keeps_common: bool) -> OwnFractions:
         """How far the own bodies move in a step, whose shortened motion is not tested again."""
@@ -544,17 +493,27 @@ class World(OwnBodies):
         self._change_hands()
 
     @collective
-    def add(self, position: Tensor, **bodies: Unpack[NewBodies]) -> Tensor:
+    def add(
+        self,
+        scene: Scene,
+        position: Tensor,
+        *,
+        id: Tensor | None = None,
+        exclude: Tensor | Sequence[Sequence[int]] | None = None,
+        payload: dict[str, Tensor] | None = None,
+        vertex_payload: dict[str, Tensor] | None = None,
+    ) -> Tensor:
         """Adds bodies between two steps, which migrate to their owners. All ranks call it, each with any share of the
         new bodies, or none (0 rows). Steps are then those of a world made with all these bodies.
 
         Args:
+            scene: M bodies, with the meshes of this world. Bodies without an optional column that others have get the
+                default of `pgccd.Scene`.
             position: (M, 3) positions of their origins, length units, world frame.
-            bodies: `id`, `mesh_index`, `group`, `mask`, `world`, `static`, `margin`, `exclude`, `self_collision`,
-                `payload` and `vertex_payload`, as for `create`. Ids are those from `next_id` on: no id is used twice,
-                also not that of a body that was removed; by default they are consecutive, rank by rank. Bodies without
-                a column that others have get the default of `pgccd.Scene`. `exclude` has more pairs, of new bodies or
-                of those that this world has. The payload has the names, shapes and dtypes that this world has.
+            id: (M,) int64 from `next_id` on: no id is used twice, also not that of a body that was removed. Default:
+                consecutive, rank by rank.
+            exclude: (E, 2) as for `create`: more pairs, of new bodies or of those that this world has.
+            payload, vertex_payload: as for `create`, with the names, shapes and dtypes that this world has.
 
         Returns:
             (M,) int64: the ids of these bodies, in the order of `position`.
@@ -564,9 +523,10 @@ class World(OwnBodies):
                 world is unchanged.
 
         Example:
-            >>> id = world.add(x + 5.0, payload={"velocity": v})
+            >>> id = world.add(pgccd.Scene(world.meshes, [0, 0]), x + 5.0, payload={"velocity": v})
         """
-        state, new = with_more(self.comm, self._state, position, bodies)
+        bodies = NewBodies(scene, position, id, exclude, payload, vertex_payload)
+        state, new = with_more(self.comm, self._state, bodies)
         self._become(state)
         return new
 
@@ -590,7 +550,7 @@ class World(OwnBodies):
         """Takes the bodies of another state."""
         self.columns, self._vertices, self.next_id = state.columns, state.vertices, state.next_id
         if state.exclude is not self.exclude:
-            self.options = replace(self.options, excluded=Excluded.of(state.exclude))
+            self._search_options = self.options.search(state.exclude)
         self._scene = None
         self.id_checksum = IdChecksum.of_ranks(self.comm, self.id)
         self._migrate()

@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import torch
 
@@ -25,18 +25,19 @@ from pgccd.distributed.launch.agreement import on_first, require_agreement, toge
 from pgccd.distributed.partition.balance import BalanceOptions
 from pgccd.distributed.partition.cut import Cut
 from pgccd.distributed.partition.interface import Partition
+from pgccd.distributed.world.input_checks import SCENE_COLUMNS
 from pgccd.distributed.world.options import NewBodies
 from pgccd.distributed.world.state import WorldState, state_given
 from pgccd.geometry.digest import meshes_digest
 from pgccd.geometry.mesh import Mesh, MeshSet
-from pgccd.geometry.scene import OPTIONAL_COLUMNS
+from pgccd.geometry.scene import Scene
 
 KIND = "world"
 _BODIES, _VERTICES, _COUNT = "bodies", "vertices", "vertex_count"
 _EXCLUDE, _PAIR = "exclude", "pair"
 _HEADER = "of_user"
 _REQUIRED = ("id", "mesh_index", "position")
-_KNOWN = (*_REQUIRED, *OPTIONAL_COLUMNS, "self_collision", _COUNT)
+_KNOWN = (*_REQUIRED, *SCENE_COLUMNS, _COUNT)
 
 
 class Saving:
@@ -108,18 +109,19 @@ def load_state(
     columns = {name: column.to(where) for name, column in found[_BODIES].items()}
     of_vertices = {name: column.to(where) for name, column in found.get(_VERTICES, {}).items()}
 
-    def check() -> WorldState:
-        bodies: dict[str, Any] = {name: columns[name] for name in (*_REQUIRED, *OPTIONAL_COLUMNS) if name in columns}
-        position = bodies.pop("position")
-        if "static" in bodies:
-            bodies["static"] = bodies["static"].to(torch.bool)
-        bodies["self_collision"] = columns.get("self_collision", False)
-        bodies["payload"] = {name[1:]: column for name, column in columns.items() if name.startswith(".")}
-        bodies["vertex_payload"] = {name[1:]: column for name, column in of_vertices.items()}
-        return state_given(comm.size, mesh_set.meshes, _cut(stored), balance, position, cast(NewBodies, bodies))
+    def check() -> tuple[WorldState, NewBodies]:
+        given: dict[str, Any] = {name: columns[name] for name in SCENE_COLUMNS if name in columns}
+        if "static" in given:
+            given["static"] = given["static"].to(torch.bool)
+        scene = Scene(mesh_set, columns["mesh_index"], **given)
+        payload = {name[1:]: column for name, column in columns.items() if name.startswith(".")}
+        of_each = {name[1:]: column for name, column in of_vertices.items()}
+        bodies = NewBodies(scene, columns["position"], columns["id"], exclude, payload, of_each)
+        return state_given(comm.size, bodies, _cut(stored), balance), bodies
 
     try:
-        state = together(comm, check).with_ids(comm, are_given=True).with_excluded(comm, exclude)
+        state, bodies = together(comm, check)
+        state = state.with_ids(comm, are_given=True).with_excluded(comm, bodies, state.columns["id"])
     except (TypeError, ValueError) as error:
         raise CheckpointError(f"{stored.folder} is not the checkpoint of a world: {error}") from error
     if next_id < state.next_id:

@@ -118,7 +118,7 @@ class WorldGraph(TransactionGraph[Committed]):
         self._none, self._owned = torch.zeros((2, 1), dtype=torch.int64, device=world.id.device)
         super().__init__(world.columns, index, padding, rows)
         self._world, self._motion, self._response, self._tally = world, motion, response, tally
-        self.excluded = world.options.excluded
+        self.options = world._search_options
         self._decomposition, self._sizes = decomposition, sizes
 
     rounds = 0  #: of resolution
@@ -136,7 +136,7 @@ class WorldGraph(TransactionGraph[Committed]):
         comm, id = world.comm, columns["id"]
         bodies = bodies_of(columns, self._index)
         motion, bodies, planned = motion_of(self._motion, bodies)
-        scene = scene_of(world._meshes, columns)
+        scene = scene_of(world.meshes, columns)
         scene._leave_out(id < 0)
         moving = MovingBodies.of(scene, motion, wait=False)
         answer = self._answer(bodies, moving, motion)
@@ -165,7 +165,7 @@ class WorldGraph(TransactionGraph[Committed]):
     def _answer(self, bodies: Bodies, moving: MovingBodies, motion: RigidMotion) -> _Answer:
         """Enqueues the search of the step."""
         # The rows of contacts with ghosts are found concurrently with the search of own pairs.
-        share, _ = self._search(moving, {}, self._world.options, lambda share: share.passes[-1].first_contacts())
+        share, _ = self._search(moving, {}, self.options, lambda share: share.passes[-1].first_contacts())
         counts = [search_pass.counts() for search_pass in share.passes]
         incomplete = self._incomplete(moving, share, [flag for of_pass in counts for flag in overflow_flags(of_pass)])
         first, incomplete = _first_toi(share, self._world.comm, incomplete)
@@ -224,7 +224,7 @@ class ResolvingGraph(WorldGraph):
 
     def _answer(self, bodies: Bodies, moving: MovingBodies, motion: RigidMotion) -> _Answer:
         world = self._world
-        comm, plan, options = world.comm, world._resolution_plan, options_of_resolution(world.options, lists=True)
+        comm, plan, options = world.comm, world._resolution_plan, options_of_resolution(self.options, lists=True)
         fixed = fixed_of(self._movable, bodies)
         marks = {} if fixed is None else {"fixed": fixed}
 

@@ -17,12 +17,12 @@ from support.checkpoint_faults import newest, plant
 from support.ranks import World
 
 from pgccd import sim
-from pgccd.distributed import BalanceOptions, Bisection, Cells, Comm, Partition
+from pgccd.distributed import BalanceOptions, Bisection, Cells, Comm, Partition, RankOptions
 from pgccd.distributed.checkpoint import shared_folder
 from pgccd.distributed.checkpoint.partition import load_partition
 from pgccd.distributed.checkpoint.shared_folder import sees_mark
 from pgccd.distributed.partition.cut import PARTITIONS, make_partition
-from pgccd.sim import RankOptions, Simulation, resume, run, runner
+from pgccd.sim import Simulation, resume, run, runner
 from pgccd.sim.pictures import write_pictures
 from pgccd.sim.response import respond
 from pgccd.sim.run_checkpoint import require_checkpoint

@@ -16,7 +16,7 @@ from support.ranks import World
 
 import pgccd
 from pgccd import ops
-from pgccd.distributed import Alone, BalanceOptions, Bisection, Cells, Comm
+from pgccd.distributed import Alone, BalanceOptions, Bisection, Cells, Comm, WorldOptions
 from pgccd.distributed import World as SharedWorld
 from pgccd.distributed.comm.exchange import first_row
 from pgccd.distributed.comm.neighbourhood import Neighbourhood
@@ -108,9 +108,10 @@ def meet_neighbours(comm: Comm) -> set[int]:
     comm.neighbours_above = 0
     crowd = crowds()["kept apart, filtered"]
     mine = torch.arange(comm.rank, len(crowd.position), comm.size)
-    position, balance = 0.5 * crowd.position[mine] + 2.0, BalanceOptions("none")
+    position, options = 0.5 * crowd.position[mine] + 2.0, WorldOptions(axes=1, balance=BalanceOptions("none"))
     mesh = pgccd.Mesh(0.02 * torch.eye(4, 3, dtype=torch.float64), [[0, 1, 2], [0, 3, 1], [1, 3, 2], [0, 2, 3]])
-    world = SharedWorld.create([mesh], (0.0,) * 3, (8.0,) * 3, position, id=mine, axes=1, comm=comm, balance=balance)
+    scene = pgccd.Scene([mesh], [0] * len(mine))
+    world = SharedWorld.create(scene, position, (0.0,) * 3, (8.0,) * 3, id=mine, comm=comm, options=options)
     sent: set[int] = set()
     to_peers = comm._to_peers
 

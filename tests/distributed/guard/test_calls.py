@@ -29,7 +29,8 @@ BOX = (0.0,) * 3, (8.0,) * 3
 def made(comm: Comm) -> World:
     place = torch.cartesian_prod(*[torch.arange(3.0, dtype=torch.float64)] * 3)[comm.rank :: comm.size]
     id = torch.arange(27)[comm.rank :: comm.size]
-    return World.create([STONE], *BOX, 1.0 + 2.0 * place, id=id, payload={"heat": place[:, 0]}, comm=comm)
+    scene = pgccd.Scene([STONE], [0] * len(id))
+    return World.create(scene, 1.0 + 2.0 * place, *BOX, id=id, payload={"heat": place[:, 0]}, comm=comm)
 
 
 def motion_of(bodies: Any) -> pgccd.RigidMotion:
@@ -51,7 +52,7 @@ CALLS: dict[str, Callable[[World, str], Any]] = {
     "World.step": lambda world, folder: world.step(motion_of(world)),
     "World.collide": lambda world, folder: world.collide(motion_of(world)),
     "World.move": lambda world, folder: world.move(world.position),
-    "World.add": lambda world, folder: world.add(NONE, payload={"heat": NONE[:, 0]}),
+    "World.add": lambda world, folder: world.add(pgccd.Scene([STONE], []), NONE, payload={"heat": NONE[:, 0]}),
     "World.remove": lambda world, folder: world.remove(torch.zeros(0, dtype=torch.int64)),
     "World.save": lambda world, folder: world.save(folder),
     "World.loads": lambda world, folder: world.loads(),

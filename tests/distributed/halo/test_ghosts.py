@@ -46,10 +46,10 @@ def touching_spheres(seed: int, offset: float, separation: float) -> list[torch.
 
 @given(st.integers(0, 10**6), st.sampled_from([0.0, 1.0, 1e4, 1e9]), st.sampled_from([0.0, 0.3]))
 def test_boxes_of_potentially_colliding_pairs_overlap(seed: int, offset: float, separation: float) -> None:
-    start, end, radius = touching_spheres(seed, offset, separation)
-    pairs = ops.broad_pairs(start, end, radius, None, None, None, None, None, separation, 0.0, 0, -1)
+    spheres = start, end, radius = touching_spheres(seed, offset, separation)
+    pairs = ops.broad_pairs(spheres, separation, 0.0, 0, -1)
     assert len(pairs) > 50
-    lower, upper = ops.swept_boxes(start, end, radius, separation, 0.0)
+    lower, upper = ops.swept_boxes(spheres, separation, 0.0)
     i, j = pairs.unbind(dim=1)
     assert bool(((lower[i] <= upper[j]) & (lower[j] <= upper[i])).all())
     # So both bodies reach the cell of the reference point.
@@ -61,13 +61,13 @@ def test_boxes_of_potentially_colliding_pairs_overlap(seed: int, offset: float, 
 
 
 def test_boxes_hold_their_bodies_and_are_tight(device: torch.device) -> None:
-    start, end, radius = touching_spheres(7, 3.0, 0.0)
-    lower, upper = (x.cpu() for x in ops.swept_boxes(start.to(device), end.to(device), radius.to(device), 0.5, 0.0))
+    spheres = start, end, radius = touching_spheres(7, 3.0, 0.0)
+    lower, upper = (x.cpu() for x in ops.swept_boxes([x.to(device) for x in spheres], 0.5, 0.0))
     reach = radius[:, None] + 0.25
     least, most = torch.minimum(start, end) - reach, torch.maximum(start, end) + reach
     assert bool((lower <= least).all()) and bool((upper >= most).all())
     assert bool(((least - lower) <= 1e-11 * (reach + (end - start).abs().amax(dim=1, keepdim=True))).all())
-    on_cpu = ops.swept_boxes(start, end, radius, 0.5, 0.0)
+    on_cpu = ops.swept_boxes(spheres, 0.5, 0.0)
     assert torch.equal(lower, on_cpu[0]) and torch.equal(upper, on_cpu[1])
 
 
@@ -139,7 +139,8 @@ def validations(comm: Comm) -> tuple[int, int]:
     mine = torch.arange(comm.rank, 60, comm.size)
     position = torch.rand((60, 3), dtype=torch.float64, generator=torch.Generator().manual_seed(5))[mine]
     mesh = pgccd.Mesh(0.05 * torch.eye(4, 3).double(), [[0, 1, 2], [0, 3, 1], [1, 3, 2], [0, 2, 3]])
-    world = SharedWorld.create([mesh], (0.0,) * 3, (1.0,) * 3, position, id=mine, comm=comm)
+    scene = pgccd.Scene([mesh], [0] * len(mine))
+    world = SharedWorld.create(scene, position, (0.0,) * 3, (1.0,) * 3, id=mine, comm=comm)
     turn = torch.eye(4).double()[:1].repeat(len(world.id), 1)
     motion = pgccd.RigidMotion.from_velocity(world.position, turn, turn[:, :3], turn[:, :3], dt=0.1)
     with mock.patch.object(moving.ops, "sound_radii", wraps=moving.ops.sound_radii) as checked:

@@ -11,6 +11,7 @@ import torch
 from support.shapes import tetrahedron
 from torch import Tensor
 
+import pgccd
 from pgccd import sim
 from pgccd.distributed import Alone, Cells, World
 from pgccd.distributed.comm.exchange import Columns, take_rows
@@ -25,7 +26,7 @@ COUNT = 12
 def small_world() -> World:
     """A world on one rank."""
     position = torch.rand((COUNT, 3), dtype=torch.float64, generator=torch.Generator().manual_seed(1))
-    return World.create([tetrahedron(0.1)], (0.0, 0.0, 0.0), (1.0, 1.0, 1.0), position)
+    return World.create(pgccd.Scene([tetrahedron(0.1)], [0] * COUNT), position, (0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
 
 
 def losing(rows: Tensor) -> Callable[..., migrate.Moved]:

@@ -216,7 +216,7 @@ def run_different_code(comm: Comm, odd: str) -> str:
     position = torch.tensor([[3.0 * comm.rank, 0.0, 0.0]], dtype=dtype)
     id = torch.tensor([comm.rank])
     try:
-        world = World.create([mesh], (-1.0, -1.0, -1.0), (9.0, 1.0, 1.0), position, id=id, comm=comm)
+        world = World.create(pgccd.Scene([mesh]), position, (-1.0, -1.0, -1.0), (9.0, 1.0, 1.0), id=id, comm=comm)
         upright = torch.tensor([[1.0, 0.0, 0.0, 0.0]], dtype=torch.float64)
 
         def motion(bodies: Any) -> pgccd.RigidMotion:

@@ -56,7 +56,7 @@ def test_operators_reach_the_ranks_whose_boxes_a_body_touches(seed: int, device:
     end = start + 0.5 * torch.randn((count, 3), generator=generator, dtype=torch.float64)
     radius = torch.rand(count, generator=generator, dtype=torch.float64)
     centres = start, end, radius
-    lower, upper = ops.swept_boxes(*centres, 0.0, 0.0)
+    lower, upper = ops.swept_boxes(centres, 0.0, 0.0)
     everything = torch.arange(count)
     low, high = (torch.tensor([box[side] for box in partition.boxes], dtype=torch.float64) for side in (0, 1))
     # The outer parts extend to infinity.
@@ -86,7 +86,7 @@ def test_a_box_that_ends_on_a_plane_reaches_what_is_above() -> None:
     """
     centres = [torch.tensor([[1.0, 1.0, 1.0]], dtype=torch.float64)] * 2 + [torch.ones(1, dtype=torch.float64)]
     rows = torch.zeros(1, dtype=torch.int64)
-    lower, upper = ops.swept_boxes(*centres, 0.0, 0.0)
+    lower, upper = ops.swept_boxes(centres, 0.0, 0.0)
     for axis in range(3):
         for at, reached in ((upper[0, axis], [True, True]), (lower[0, axis], [False, True])):
             planes = torch.tensor([[float(axis), float(at), -1.0, -2.0]], dtype=torch.float64)

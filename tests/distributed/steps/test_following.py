@@ -10,7 +10,7 @@ from support.graphs import graphs_on
 from support.ranks import World, on_three
 
 from pgccd import sim
-from pgccd.distributed import BalanceOptions, Comm
+from pgccd.distributed import BalanceOptions, Comm, RankOptions
 from pgccd.distributed.partition.cut import make_partition
 from pgccd.sim import Simulation, starting_share
 
@@ -22,7 +22,7 @@ def follow(comm: Comm, name: str, expected: list[dict[str, Any]], kind: str, rep
     partition = make_partition(kind, tuple(-x for x in half), half, comm.size, 3, 4, "cpu")
     with graphs_on("cpu" if replayed else "none"):
         start, balance = starting_share(comm, model), BalanceOptions("none")
-        simulation = Simulation.create(comm, model, partition, start, balance, graph=replayed)
+        simulation = Simulation.create(comm, model, partition, start, RankOptions(balance=balance), replayed)
         ghosts = 0
         for index, line in enumerate(expected):
             record = simulation.step(index, more=len(expected) - 1 - index).record

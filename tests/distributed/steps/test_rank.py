@@ -16,7 +16,7 @@ from support.same_bits import assert_same
 from support.steps import step_of
 
 from pgccd import sim
-from pgccd.distributed import BalanceOptions, Bisection, Cells, Comm
+from pgccd.distributed import BalanceOptions, Bisection, Cells, Comm, RankOptions
 from pgccd.distributed.halo import halo_sizes
 from pgccd.distributed.partition.cut import make_partition
 from pgccd.distributed.partition.decomposition import Decomposition
@@ -66,7 +66,8 @@ def make_simulation(
     upper = model.half_extent
     partition = make_partition(kind, tuple(-x for x in upper), upper, comm.size, axes, 4, device)
     start = starting_share(comm, model)
-    return Simulation.create(comm, model, partition, start, BalanceOptions(policy, deciding=0.0), overlap, graph=graph)
+    options = RankOptions(balance=BalanceOptions(policy, deciding=0.0), overlap=overlap)
+    return Simulation.create(comm, model, partition, start, options, graph)
 
 
 class Cramped(RoundPlan):

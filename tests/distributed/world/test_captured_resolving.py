@@ -15,7 +15,7 @@ from torch import Tensor
 
 import pgccd
 from distributed.world.test_loop import meshes
-from pgccd.distributed import BalanceOptions, Bodies, CapturedWorld, Comm, World, WorldStep
+from pgccd.distributed import BalanceOptions, Bodies, CapturedWorld, Comm, World, WorldOptions, WorldStep
 from pgccd.distributed.comm.interface import Alone
 from pgccd.distributed.detection.held_exchange import HeldExchange
 from pgccd.distributed.halo import halo_sizes
@@ -123,11 +123,19 @@ def plain_loop(steps: int, initial: str) -> tuple[dict[str, Tensor], list[tuple[
 def spread(comm: Comm, device: torch.device, initial: str, path: str = "rigid") -> World:
     mine = torch.arange(comm.rank, COUNT, comm.size)
     columns = {name: column[mine].to(device) for name, column in start().items()}
-    payload = {name: columns.pop(name) for name in ("q", "v", "w", "made")}
     balance = BalanceOptions("cost", start=0.0, goal=0.0, moving=0.0, deciding=0.0, every=7)
-    options: dict[str, Any] = {"id": mine.to(device), "payload": payload, "balance": balance, "comm": comm}
-    options |= {"exclude": EXCLUDED if comm.rank == 0 else None, "initial": initial, "path": path}
-    return World.create(meshes().meshes, (0.0,) * 3, (BOX,) * 3, columns.pop("position"), **columns, **options)
+    options: Any = {"initial": initial, "path": path}
+    return World.create(
+        scene_alone()[mine].to(device),
+        columns["position"],
+        (0.0,) * 3,
+        (BOX,) * 3,
+        id=mine.to(device),
+        exclude=EXCLUDED if comm.rank == 0 else None,
+        payload={name: columns[name] for name in ("q", "v", "w", "made")},
+        comm=comm,
+        options=WorldOptions(balance=balance, **options),
+    )
 
 
 def require_columns(world: World, expected: dict[str, Tensor]) -> None:

@@ -23,6 +23,7 @@ from pgccd.distributed import (
     CapturedWorld,
     Comm,
     World,
+    WorldOptions,
     WorldStep,
 )
 from pgccd.distributed.comm.interface import Alone
@@ -77,22 +78,31 @@ def response(bodies: Bodies, motion: pgccd.RigidMotion, first_toi: Tensor) -> di
     return {"position": position, "q": orientation, "v": velocity, "free": free}
 
 
+def scene_alone() -> pgccd.Scene:
+    at = start()
+    return pgccd.Scene(meshes(), at["mesh_index"], margin=at["margin"], static=at["static"])
+
+
 def spread(comm: Comm, device: torch.device, policy: str, partition: str) -> World:
     mine = torch.arange(comm.rank, COUNT, comm.size)
     columns = {name: column[mine].to(device) for name, column in start().items()}
-    payload = {name: columns.pop(name) for name in ("q", "v", "w", "free")}
     balance = BalanceOptions(policy, start=0.0, goal=0.0, moving=0.0, deciding=0.0, every=3)
-    options: dict[str, Any] = {"id": 3 * mine.to(device) + 1, "payload": payload, "partition": partition}
-    options |= {"comm": comm, "cells": 4, "balance": balance, "nonzero_toi": True, "min_separation": 1e-3}
-    return World.create(meshes().meshes, (0.0,) * 3, (BOX,) * 3, columns.pop("position"), **columns, **options)
+    return World.create(
+        scene_alone()[mine].to(device),
+        columns["position"],
+        (0.0,) * 3,
+        (BOX,) * 3,
+        id=3 * mine.to(device) + 1,
+        payload={name: columns[name] for name in ("q", "v", "w", "free")},
+        comm=comm,
+        options=WorldOptions(partition=partition, cells=4, balance=balance, nonzero_toi=True, min_separation=1e-3),
+    )
 
 
 @functools.cache
 def plain_loop(steps: int) -> tuple[dict[str, Tensor], list[tuple[int, int]]]:
     """In one process, by `detect` alone: the final columns, and PCS and contacts of each step."""
-    now = dict(start())
-    scene = pgccd.Scene(meshes(), now["mesh_index"], margin=now["margin"], static=now["static"])
-    counts = []
+    now, scene, counts = dict(start()), scene_alone(), []
     for step in range(steps):
         payload = {name: now[name] for name in ("q", "v", "w", "free")}
         ids = 3 * torch.arange(COUNT) + 1
@@ -152,8 +162,7 @@ def save_and_load(comm: Comm, folder: str, device: str = "cpu") -> int:
         world = spread(comm, torch.device(device), "cost", "cells")
         steps = CapturedWorld(world, motion, response, True).run(10)
         world.save(folder)
-        asked: dict[str, Any] = {"nonzero_toi": True, "min_separation": 1e-3, "balance": world._rank.balancer.options}
-        world = World.load(folder, meshes().meshes, comm=comm, device=device, **asked)
+        world = World.load(folder, meshes().meshes, comm=comm, device=device, options=world.options)
         assert world.id.device.type == torch.device(device).type
         after = CapturedWorld(world, motion, response, True).run(STEPS - 10)
         assert [(step.pcs, step.contacts) for step in steps + after] == counts
@@ -173,10 +182,17 @@ def start_empty(comm: Comm) -> int:
     with graphs_on("cpu"):
         count = 12 if comm.rank == comm.size - 1 else 0
         columns = {name: column[:count] for name, column in start().items()}
-        payload = {name: columns.pop(name) for name in ("q", "v", "w", "free")}
-        position = torch.tensor([BOX, BOX, BOX]) - 0.1 * columns.pop("position")
-        options: dict[str, Any] = {"id": torch.arange(count), "balance": BalanceOptions("none"), "comm": comm}
-        world = World.create(meshes().meshes, (0.0,) * 3, (BOX,) * 3, position, **columns, payload=payload, **options)
+        position = torch.tensor([BOX, BOX, BOX]) - 0.1 * columns["position"]
+        world = World.create(
+            scene_alone()[:count],
+            position,
+            (0.0,) * 3,
+            (BOX,) * 3,
+            id=torch.arange(count),
+            payload={name: columns[name] for name in ("q", "v", "w", "free")},
+            comm=comm,
+            options=WorldOptions(balance=BalanceOptions("none")),
+        )
 
         def rest(bodies: Bodies, _: pgccd.RigidMotion, first_toi: Tensor) -> dict[str, Tensor]:
             return {"position": bodies.position}
@@ -249,7 +265,8 @@ def test_columns_of_the_state_under_other_names(device: torch.device) -> None:
             start_columns = {name: start()[name].to(device) for name in ("q", "v", "w", "free", "position")}
             position = start_columns.pop("position")
             payload = start_columns | {"last": position}
-            world = World.create(meshes().meshes, (0.0,) * 3, (BOX,) * 3, position, payload=payload, nonzero_toi=True)
+            scene, options = pgccd.Scene(meshes(), [0] * COUNT).to(device), WorldOptions(nonzero_toi=True)
+            world = World.create(scene, position, (0.0,) * 3, (BOX,) * 3, payload=payload, options=options)
             steps = CapturedWorld(world, motion, exchange_columns, graph).run(12)
             assert any(step.replayed for step in steps) == graph
             found.append({"position": world.position, **world.payload})
@@ -316,8 +333,10 @@ def test_what_functions_return_is_checked() -> None:
         functions = {"motion": motion, "response": response} | {where: lambda *_, found=returned: found}
         with pytest.raises((TypeError, ValueError), match=problem):
             CapturedWorld(world, **functions).run(1)
-    for report in ("all", "earliest"):
-        other = World.create(meshes().meshes, (0.0,) * 3, (BOX,) * 3, world.position, report=report)
+    reports: tuple[Any, ...] = ("all", "earliest")
+    for report in reports:
+        options = WorldOptions(report=report)
+        other = World.create(scene_alone(), world.position, (0.0,) * 3, (BOX,) * 3, options=options)
         with pytest.raises(ValueError, match="world: expected one with report"):
             CapturedWorld(other, motion, response)
 
@@ -349,9 +368,10 @@ def follow_off_centre(comm: Comm, broad_phase: str) -> list[tuple[int, int, bool
         return find_pass(bodies, *arguments, **more)
 
     with graphs_on("cpu"), mock.patch.object(share, "find_pass", search):
-        columns = {"id": mine, "world": mine // 2, "balance": BalanceOptions("none")}
-        asked: dict[str, Any] = {"comm": comm, "broad_phase": broad_phase, **columns}
-        world = World.create([mesh], (0.0,) * 3, (8.0, 4.0, 4.0), position, **asked)
+        scene, chosen = pgccd.Scene([mesh], 0 * mine, world=mine // 2), {"broad_phase": broad_phase}
+        options = WorldOptions(balance=BalanceOptions("none"), **chosen)  # type: ignore[arg-type]
+        box = (0.0,) * 3, (8.0, 4.0, 4.0)
+        world = World.create(scene, position, *box, id=mine, comm=comm, options=options)
         steps = CapturedWorld(world, approach, stay, True).run(6)
         return [(step.pcs, step.contacts, step.replayed) for step in steps]
 

@@ -16,9 +16,8 @@ from support.same_bits import Result, columns_of, difference
 from support.shapes import bumpy
 
 import pgccd
-from pgccd.distributed import BalanceOptions, Comm
+from pgccd.distributed import BalanceOptions, Comm, WorldOptions
 from pgccd.distributed import World as SharedWorld
-from pgccd.distributed.comm.exchange import take_rows
 from pgccd.distributed.halo.vertices import Vertices, vertex_counts
 from pgccd.search.trajectories import TrajectoryContacts
 
@@ -93,22 +92,23 @@ def spread(
     generator = torch.Generator().manual_seed(4)
     mine = torch.nonzero(torch.randint(comm.size, (COUNT,), generator=generator) == comm.rank)[:, 0].flip(0)
     all_vertices = Vertices({"x": frames()[0]}, vertex_counts(meshes(), bodies()["mesh_index"]))
-    given = {name: column.to(device) for name, column in take_rows(bodies(), mine).items()}
-    world = SharedWorld.create(
-        meshes().meshes,
-        (0.0,) * 3,
-        (8.0,) * 3,
-        given.pop("position"),
-        id=IDS[mine].to(device),
-        payload={"tag": 3 * mine.to(device)},
-        vertex_payload={name: column.to(device) for name, column in all_vertices.take(mine).columns.items()},
-        comm=comm,
+    options = WorldOptions(
         report=of_contacts(report),
         min_separation=0.01,
         partition=partition,
         cells=4,
         balance=BalanceOptions(policy, start=0.0, goal=0.0, moving=0.0, deciding=0.0),
-        **given,
+    )
+    world = SharedWorld.create(
+        scene()[mine].to(device),
+        bodies()["position"][mine].to(device),
+        (0.0,) * 3,
+        (8.0,) * 3,
+        id=IDS[mine].to(device),
+        payload={"tag": 3 * mine.to(device)},
+        vertex_payload={name: column.to(device) for name, column in all_vertices.take(mine).columns.items()},
+        comm=comm,
+        options=options,
     )
     if owners:
         generator.manual_seed(owners)
@@ -264,13 +264,13 @@ def mistakes(comm: Comm) -> list[str]:
 
 
 def largest_id(comm: Comm) -> list[str]:
-    mesh = pgccd.Mesh(((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)), ((0, 1, 2),))
+    scene = pgccd.Scene([pgccd.Mesh(((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)), ((0, 1, 2),))])
     position = torch.zeros((1, 3), dtype=torch.float64)
     upright = torch.tensor([[1.0, 0.0, 0.0, 0.0]], dtype=torch.float64)
     said = []
     for id in (2**63 - 1, 2**62 - 1):
-        given = {"id": torch.tensor([id - comm.rank]), "comm": comm}
-        world = SharedWorld.create([mesh], (0.0,) * 3, (8.0,) * 3, position + 3.0 * comm.rank, **given)
+        mine = torch.tensor([id - comm.rank])
+        world = SharedWorld.create(scene, position + 3.0 * comm.rank, (0.0,) * 3, (8.0,) * 3, id=mine, comm=comm)
         count = len(world.id)
         steps = pgccd.Trajectory(world.position.expand(2, count, 3), upright.expand(2, count, 4))
         with pytest.raises(ValueError) as caught:
@@ -300,7 +300,8 @@ def look_at_all(comm: Comm) -> bool:
     mine = torch.arange(comm.rank, 40, comm.size)
     position = torch.rand((40, 3), dtype=torch.float64, generator=torch.Generator().manual_seed(2))[mine]
     mesh = pgccd.Mesh(0.2 * torch.eye(4, 3).double(), [[0, 1, 2], [0, 3, 1], [1, 3, 2], [0, 2, 3]])
-    world = SharedWorld.create([mesh], (0.0,) * 3, (1.0,) * 3, position, id=mine, comm=comm)
+    scene = pgccd.Scene([mesh], [0] * len(mine))
+    world = SharedWorld.create(scene, position, (0.0,) * 3, (1.0,) * 3, id=mine, comm=comm)
     turn = torch.eye(4).double()[:1].repeat(len(world.id), 1)
     hits = world.step(pgccd.RigidMotion.at_rest(world.position, turn))
     assert world.first_toi(hits).shape == (len(world.id),)

@@ -16,7 +16,7 @@ from torch import Tensor
 
 import pgccd
 from distributed.world import test_motions
-from pgccd.distributed import Alone, Comm, World
+from pgccd.distributed import Alone, Comm, World, WorldOptions
 from pgccd.distributed.comm.exchange import take_rows
 
 REPORTS = ("first", "all", "any", "earliest")
@@ -39,19 +39,16 @@ def columns_of(name: str) -> dict[str, Tensor]:
 def spread(comm: Comm, name: str, report: str = "first") -> World:
     crowd = crowds()[name]
     mine = torch.arange(comm.rank, len(crowd.position), comm.size).flip(0)
+    options = WorldOptions(report=of_contacts(report), min_separation=crowd.min_separation, nonzero_toi=True)
     return World.create(
-        crowd.meshes,
+        crowd.scene(mine),
+        crowd.position[mine],
         (0.0,) * 3,
         (8.0,) * 3,
-        crowd.position[mine],
         id=10 * mine + 3,
-        mesh_index=crowd.mesh_index[mine],
         payload=take_rows(columns_of(name), mine),
         comm=comm,
-        report=of_contacts(report),
-        min_separation=crowd.min_separation,
-        nonzero_toi=True,
-        **{column: values[mine] for column, values in crowd.filters.items()},
+        options=options,
     )
 
 
@@ -143,8 +140,9 @@ def bounce(comm: Comm) -> dict[int, list[float]]:
     mine = torch.arange(comm.rank, COUNT, comm.size)
     columns = take_rows(start_of_loop(), mine)
     position = columns.pop("position")
-    options: dict[str, Any] = {"id": mine, "payload": columns, "comm": comm, "nonzero_toi": True}
-    world = World.create([BOX], (0.0,) * 3, (6.5, 5.2, 3.9), position, **options)
+    scene, options = pgccd.Scene([BOX], [0] * len(mine)), WorldOptions(nonzero_toi=True)
+    box = (0.0,) * 3, (6.5, 5.2, 3.9)
+    world = World.create(scene, position, *box, id=mine, payload=columns, comm=comm, options=options)
     for _ in range(STEPS):
         motion = moving(world, 0.2)
         hits = world.step(motion, payload=("velocity", "mass"))
@@ -180,7 +178,8 @@ def test_a_loop_of_impulses(world: Ranks) -> None:
 
 
 def test_sums_are_made_in_the_order_of_contacts() -> None:
-    world = World.create([BOX], (0.0,) * 3, (9.0,) * 3, torch.zeros(4, 3).double(), id=torch.tensor([2, 3, 5, 7]))
+    scene, position, id = pgccd.Scene([BOX], [0] * 4), torch.zeros(4, 3).double(), torch.tensor([2, 3, 5, 7])
+    world = World.create(scene, position, (0.0,) * 3, (9.0,) * 3, id=id)
     hits = world.step(pgccd.RigidMotion.at_rest(world.position, torch.eye(4).double()[:1].repeat(4, 1)))
     assert hits.pairs.tolist() == [[2, 3], [2, 5], [2, 7], [3, 5], [3, 7], [5, 7]]
     values = torch.zeros(6, 2, dtype=torch.float64)
@@ -203,7 +202,8 @@ def test_sums_are_made_in_the_order_of_contacts() -> None:
 
 
 def test_rows_of_ids() -> None:
-    world = World.create([BOX], (0.0,) * 3, (9.0,) * 3, 3.0 * torch.eye(3), id=torch.tensor([7, 2, 4]))
+    scene, position, id = pgccd.Scene([BOX], [0] * 3), 3.0 * torch.eye(3), torch.tensor([7, 2, 4])
+    world = World.create(scene, position, (0.0,) * 3, (9.0,) * 3, id=id)
     assert world.rows_of(torch.tensor([[2, 4], [7, 3], [8, -1]])).tolist() == [[0, 1], [2, -1], [-1, -1]]
     assert world.rows_of(torch.tensor(4)).tolist() == 1
     world.remove(world.id)

@@ -20,7 +20,7 @@ from distributed.world import test_motions
 from distributed.world.test_loop import BOX, COUNT, meshes, motion, response, start
 from distributed.world.test_payload import BOX as MESH
 from distributed.world.test_payload import columns_of, moving
-from pgccd.distributed import Alone, BalanceOptions, CapturedWorld, CheckpointError, Comm, World
+from pgccd.distributed import Alone, BalanceOptions, CapturedWorld, CheckpointError, Comm, World, WorldOptions
 from pgccd.distributed.comm.exchange import take_rows
 from pgccd.distributed.halo.vertices import Vertices, vertex_counts
 from pgccd.distributed.world.input_checks import LARGEST_ID
@@ -46,14 +46,17 @@ def table() -> dict[str, Tensor]:
 def bodies(rows: Tensor, optional: tuple[str, ...]) -> dict[str, Any]:
     """Arguments of `create` and `add`, without ids."""
     columns = table()
-    columns["position"] = columns["position"].clone()
-    names = ("position", "mesh_index", *optional)
-    return {name: columns[name][rows] for name in names} | {"payload": take_rows(columns_of(CROWD), rows)}
+    filters: dict[str, Any] = {name: columns[name][rows] for name in optional}
+    scene = pgccd.Scene(crowds()[CROWD].meshes, columns["mesh_index"][rows], **filters)
+    payload = take_rows(columns_of(CROWD), rows)
+    return {"scene": scene, "position": columns["position"][rows], "payload": payload}
+
+
+OPTIONS = WorldOptions(min_separation=0.2, nonzero_toi=True, balance=EAGER)
 
 
 def world_of(comm: Comm, **given: Any) -> World:
-    options: dict[str, Any] = {"min_separation": 0.2, "nonzero_toi": True, "balance": EAGER, "comm": comm}
-    return World.create(crowds()[CROWD].meshes, (0.0,) * 3, (8.0,) * 3, given.pop("position"), **given, **options)
+    return World.create(**given, lower=(0.0,) * 3, upper=(8.0,) * 3, comm=comm, options=OPTIONS)
 
 
 def share(comm: Comm, first: int, end: int) -> Tensor:
@@ -147,15 +150,12 @@ def deform(comm: Comm) -> int:
     of_all = Vertices({"x": test_motions.frames()[0]}, vertex_counts(test_motions.meshes(), whole["mesh_index"]))
 
     def given(rows: Tensor) -> dict[str, Any]:
-        columns: dict[str, Any] = take_rows(whole, rows)
+        columns: dict[str, Any] = {"scene": test_motions.scene()[rows], "position": whole["position"][rows]}
         columns |= {"id": test_motions.IDS[rows], "payload": {"tag": 3 * rows}}
         return columns | {"vertex_payload": of_all.take(rows).columns}
 
-    first = given(share(comm, 0, 15))
-    options: dict[str, Any] = {"comm": comm, "min_separation": 0.01, "report": "all"}
-    world = World.create(
-        test_motions.meshes().meshes, (0.0,) * 3, (8.0,) * 3, first.pop("position"), **first, **options
-    )
+    first, options = given(share(comm, 0, 15)), WorldOptions(min_separation=0.01, report="all")
+    world = World.create(**first, lower=(0.0,) * 3, upper=(8.0,) * 3, comm=comm, options=options)
     world.remove(test_motions.IDS[[3, 8]])
     world.add(**given(share(comm, 15, count)))
     rows = test_motions.rows_of(world)
@@ -183,8 +183,7 @@ def save_between(comm: Comm, folder: str) -> None:
 
 
 def load_between(comm: Comm, folder: str) -> int:
-    options: dict[str, Any] = {"min_separation": 0.2, "nonzero_toi": True, "balance": EAGER, "comm": comm}
-    world = World.load(folder, crowds()[CROWD].meshes, **options)
+    world = World.load(folder, crowds()[CROWD].meshes, comm=comm, options=OPTIONS)
     assert world.next_id == 45  # that of a body that was removed is not used again
     with pytest.raises(
         ValueError, match=r"id: expected new ids, from 45 on \(smaller ones may have been used\), got 44"
@@ -224,20 +223,21 @@ def excluding(comm: Comm, folder: str) -> tuple[list[list[int]], list[int]]:
     )
     q = torch.tensor([[1.0, 0, 0, 0]], dtype=torch.float64).repeat(60, 1)
     v = torch.randn((60, 3), generator=generator, dtype=torch.float64)
+    scene = pgccd.Scene(crowd.meshes, crowd.mesh_index)
+    first, new = mine[mine < 40], mine[mine >= 40]
     world = World.create(
-        crowd.meshes,
+        scene[first],
+        crowd.position[first],
         (0.0,) * 3,
         (8.0,) * 3,
-        crowd.position[mine[mine < 40]],
-        id=mine[mine < 40],
-        mesh_index=crowd.mesh_index[mine[mine < 40]],
+        id=first,
         exclude=at_first if len(at_first) and comm.rank != 1 else None,
         comm=comm,
     )
     if comm.size > 1:  # what rank 1 did not give
-        world.add(crowd.position[:0], exclude=at_first if comm.rank == 1 else None)
-    new = mine[mine >= 40]
-    world.add(crowd.position[new], id=new, mesh_index=crowd.mesh_index[new], exclude=later)
+        none = pgccd.Scene(world.meshes, [])
+        world.add(none, crowd.position[:0], exclude=at_first if comm.rank == 1 else None)
+    world.add(scene[new], crowd.position[new], id=new, exclude=later)
     world.remove(torch.tensor([5, 41]))
     here = rows[(rows != 5) & (rows != 41)]
     kept = torch.searchsorted(here, pairs[torch.isin(pairs, here).all(1)])
@@ -276,19 +276,36 @@ def test_pairs_are_excluded_on_any_number_of_ranks(ranks: RankPool, tmp_path: Pa
         assert ranks.run(size, excluding, str(tmp_path / str(size))) == [expected] * size
 
 
+def exclude_in_shares(comm: Comm) -> list[list[int]]:
+    """Pairs excluded in the scenes of the shares, whose ids are no row numbers; and one of two shares."""
+    scene = pgccd.Scene([MESH], [0, 0, 0], exclude=[[0, 2]])
+    position = 3.0 * torch.eye(3) + 0.1 * comm.rank
+    id, both = torch.tensor([7, 2, 4]) + 10 * comm.rank, [[12, 2]] if comm.size > 1 else None
+    world = World.create(scene, position, (0.0,) * 3, (9.0,) * 3, id=id, exclude=both, comm=comm)
+    first = world.add(scene, position + 1.0)[0]
+    assert world.exclude is not None and [int(first), int(first) + 2] in world.exclude.tolist()
+    return world.exclude.tolist()
+
+
+def test_pairs_are_excluded_by_scenes_of_shares(ranks: RankPool) -> None:
+    assert ranks.run(1, exclude_in_shares) == [[[4, 7], [8, 10]]]
+    assert ranks.run(2, exclude_in_shares) == [[[2, 12], [4, 7], [14, 17], [18, 20], [21, 23]]] * 2
+
+
 def run_captured(comm: Comm, graph: bool) -> tuple[list[list[float]], list[tuple[int, int]], int]:
     """Bodies join and leave between runs of a loop; its last state, counts of its steps, and number of replays."""
     columns = start()
 
     def given(first: int, end: int, also: tuple[str, ...] = ()) -> dict[str, Any]:
         rows = torch.arange(first, end)[comm.rank :: comm.size]
-        picked: dict[str, Any] = {name: columns[name][rows] for name in ("position", "mesh_index", *also)}
-        return picked | {"id": rows, "payload": {name: columns[name][rows] for name in ("q", "v", "w", "free")}}
+        optional: dict[str, Any] = {name: columns[name][rows] for name in also}
+        scene = pgccd.Scene(meshes(), columns["mesh_index"][rows], **optional)
+        payload = {name: columns[name][rows] for name in ("q", "v", "w", "free")}
+        return {"scene": scene, "position": columns["position"][rows], "id": rows, "payload": payload}
 
     with graphs_on("cpu" if graph else "none"):
-        none = given(0, 0)
-        options: dict[str, Any] = {"comm": comm, "balance": BalanceOptions("none"), "nonzero_toi": True}
-        world = World.create(meshes().meshes, (0.0,) * 3, (BOX,) * 3, none.pop("position"), **none, **options)
+        options = WorldOptions(balance=BalanceOptions("none"), nonzero_toi=True)
+        world = World.create(**given(0, 0), lower=(0.0,) * 3, upper=(BOX,) * 3, comm=comm, options=options)
         loop = CapturedWorld(world, motion, response, graph)
         steps = loop.run(6)  # a world without bodies
         world.add(**given(0, 30))
@@ -323,22 +340,24 @@ def mistakes(comm: Comm) -> dict[str, str]:
     former = everything(world, list(world.columns.values()))
     some = bodies(torch.tensor([30 + comm.rank]), ())
     right = some | {"id": torch.tensor([30 + comm.rank])}
-    payload = right["payload"]
+    payload, damaged = right["payload"], pgccd.Scene(world.meshes, [0])
+    damaged.mesh_index[0] = 9
     fewer = {name: payload[name] for name in payload if name != "mass"}
     wrong: dict[str, dict[str, Any]] = {
         "used": {"id": torch.tensor([7])},
         "id dtype": {"id": torch.tensor([7.0])},
         "position": {"position": some["position"][:, :2]},
         "dtype of position": {"position": some["position"].int()},
-        "mesh": {"mesh_index": torch.tensor([9])},
+        "mesh": {"scene": damaged},
+        "meshes": {"scene": pgccd.Scene([MESH])},
+        "count": {"scene": pgccd.Scene(world.meshes, [0, 0])},
+        "no scene": {"scene": None},
         "missing": {"payload": fewer},
         "unknown": {"payload": payload | {"weight": payload["mass"]}},
         "dtype": {"payload": payload | {"mass": payload["mass"].float()}},
         "shape": {"payload": payload | {"mass": payload["mass"][:, None]}},
         "rows": {"payload": payload | {"mass": payload["mass"][:0]}},
-        "margin": {"margin": -1.0},
         "vertices": {"vertex_payload": {"x": torch.zeros(len(crowds()[CROWD].meshes[0].vertices), 3)}},
-        "other": {"colour": 3},
         "excluded": {"exclude": [[0, 99]]},
         "excluded twice": {"exclude": [[3, 3]]},
         "dtype of excluded": {"exclude": torch.zeros(1, 2)},
@@ -346,7 +365,7 @@ def mistakes(comm: Comm) -> dict[str, str]:
     tries = {name: right | change if last else right for name, change in wrong.items()}
     tries["twice"] = right | {"id": torch.tensor([40])}
     tries["none"] = some | ({"id": torch.tensor([40])} if last else {})
-    tries["static"] = right | ({"static": torch.tensor([True])} if last else {})
+    tries["static"] = right | ({"scene": pgccd.Scene(world.meshes, [0], static=[True])} if last else {})
     tries["all"] = bodies(torch.arange(30, 40), ())
     for name, given in tries.items():
         if comm.size > 1 or name not in ("twice", "none", "static", "all"):
@@ -361,7 +380,7 @@ def mistakes(comm: Comm) -> dict[str, str]:
         said[name] = str(caught.value)
     with pytest.raises(ValueError) as caught:  # noqa: PT011, PT012
         world.next_id = LARGEST_ID + 1
-        world.add(**(some if last else {"position": some["position"][:0], "payload": take_rows(payload, mine[:0])}))
+        world.add(**(some if last else bodies(mine[:0], ())))
     said["no more"] = str(caught.value)
     world.next_id = 25
     assert everything(world, list(world.columns.values())) == former
@@ -375,6 +394,9 @@ def test_mistakes_are_named_on_all_ranks(ranks: RankPool, size: int) -> None:
         "used": "id: expected new ids, from 25 on (smaller ones may have been used), got 7",
         "id dtype": "id: expected (1,) int64, got torch.Size([1]) torch.float32",
         "position": "position: expected shape (N, 3), got a float64 tensor of shape (1, 2)",
+        "meshes": "scene: expected one with the meshes of this world, `World.meshes`",
+        "count": "position: expected shape (2, 3), got (1, 3)",
+        "no scene": "scene: expected a pgccd.Scene, got None",
         "dtype of position": "position: expected float32 or float64, got torch.int32",
         "mesh": "mesh_index: body 0: expected a mesh from 0 to ",
         "missing": f"payload: expected tensors named {names}, as this world has, got ['half', 'none', ",
@@ -382,9 +404,7 @@ def test_mistakes_are_named_on_all_ranks(ranks: RankPool, size: int) -> None:
         "dtype": "payload['mass']: expected (M) float64, got (M) float32",
         "shape": "payload['mass']: expected (M) float64, got (M, 1) float64",
         "rows": "payload['mass']: expected a tensor (1, ...) on cpu, got a float64 tensor of shape (0,)",
-        "margin": "margin: body 0: expected a finite length >= 0",
         "vertices": "vertex_payload",
-        "other": "colour: expected one of ['id', 'mesh_index', ",
         "excluded": "exclude: expected ids of bodies of this world, got 99",
         "excluded twice": "exclude: pair 0: expected two different ids >= 0, got [3, 3]",
         "dtype of excluded": "exclude: expected integers, pairs of different bodies, shape (E, 2), got torch.float32",
@@ -405,15 +425,13 @@ def test_mistakes_are_named_on_all_ranks(ranks: RankPool, size: int) -> None:
 
 def double(comm: Comm, vertices: bool) -> str:
     """All ranks pass all bodies, without ids."""
-    mine: dict[str, Any] = {"vertex_payload": {"x": MESH.vertices.repeat(2, 1)}} if vertices else {}
+    scene, x = pgccd.Scene([MESH], [0, 0]), {"x": MESH.vertices.repeat(2, 1)}
+    given: dict[str, Any] = {"position": 3.0 * torch.eye(3)[:2], "lower": (0.0,) * 3, "upper": (9.0,) * 3, "comm": comm}
     with pytest.raises(ValueError) as caught:
-        World.create([MESH], (0.0,) * 3, (9.0,) * 3, 3.0 * torch.eye(3)[:2], **mine, comm=comm)
+        World.create(scene, **given, vertex_payload=x if vertices else None)
     # Different bodies in one place: of another world, or of other vertices.
-    for name, change in (
-        ("world", torch.full((2,), comm.rank)),
-        ("vertex_payload", {"x": MESH.vertices.repeat(2, 1) + comm.rank}),
-    ):
-        world = World.create([MESH], (0.0,) * 3, (9.0,) * 3, 3.0 * torch.eye(3)[:2], **{name: change}, comm=comm)
+    apart = pgccd.Scene([MESH], [0, 0], world=[comm.rank, comm.rank])
+    for world in (World.create(apart, **given), World.create(scene, **given, vertex_payload={"x": x["x"] + comm.rank})):
         assert world.id_checksum.count == 2 * comm.size
     return str(caught.value)
 
@@ -425,6 +443,8 @@ def test_all_bodies_on_every_rank_are_refused(ranks: RankPool, vertices: bool) -
 
 
 def test_one_rank_may_pass_the_same_twice() -> None:
-    world = World.create([MESH], (0.0,) * 3, (9.0,) * 3, torch.zeros(2, 3))
-    assert world.add(torch.zeros(2, 3)).tolist() == [2, 3] and world.add(torch.zeros(0, 3)).tolist() == []
+    scene = pgccd.Scene([MESH], [0, 0])
+    world = World.create(scene, torch.zeros(2, 3), (0.0,) * 3, (9.0,) * 3)
+    assert world.add(scene, torch.zeros(2, 3)).tolist() == [2, 3]
+    assert world.add(scene[:0], torch.zeros(0, 3)).tolist() == []
     assert Alone().size == 1 and world.id_checksum.count == 4

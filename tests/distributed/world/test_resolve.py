@@ -27,7 +27,7 @@ from support.resolving_ranks import (
 from support.same_bits import difference
 
 import pgccd
-from pgccd.distributed import BalanceOptions, CapturedWorld, Comm, DisagreementError
+from pgccd.distributed import BalanceOptions, CapturedWorld, Comm, DisagreementError, WorldOptions
 from pgccd.distributed import World as SharedWorld
 
 
@@ -129,16 +129,19 @@ def walk(comm: Comm, device: str, captured: bool) -> list[Any]:
     start = crowd.motion.columns()
     columns = {"q": start["orientation_t0"], "v": start["position_t1"] - start["position_t0"], "w": start["rotation"]}
     mine = torch.arange(40)[comm.rank :: comm.size]
+    options = WorldOptions(
+        report="first" if captured else "all",  # a resolution does not depend on it
+        balance=BalanceOptions("cost", start=0.0, goal=0.0, moving=0.0, deciding=0.0),
+    )
     world: Any = SharedWorld.create(
-        crowd.scene.meshes.meshes,
+        pgccd.Scene(crowd.scene.meshes, [0] * len(mine)).to(device),
+        start["position_t0"][mine].to(device),
         (0.0,) * 3,
         (4.0,) * 3,
-        start["position_t0"][mine].to(device),
         id=mine.to(device),
         payload={name: column[mine].to(device) for name, column in columns.items()},
         comm=comm,
-        report="first" if captured else "all",  # a resolution does not depend on it
-        balance=BalanceOptions("cost", start=0.0, goal=0.0, moving=0.0, deciding=0.0),
+        options=options,
     )
     stopped = []
     if captured:
@@ -169,7 +172,8 @@ def test_loops(ranks: RankPool) -> None:
 def one_box_a_rank(comm: Comm) -> tuple[Any, pgccd.RigidMotion]:
     """A world of boxes at rest."""
     x = torch.tensor([[3.0 * comm.rank, 0.0, 0.0]], dtype=torch.float64)
-    world = SharedWorld.create([pgccd.Mesh.box([1.0] * 3)], (-1.0,) * 3, (4.0, 1.0, 1.0), x, comm=comm)
+    scene = pgccd.Scene([pgccd.Mesh.box([1.0] * 3)])
+    world = SharedWorld.create(scene, x, (-1.0,) * 3, (4.0, 1.0, 1.0), comm=comm)
     upright = torch.tensor([[1.0, 0, 0, 0]], dtype=torch.float64).expand(len(world.id), 4)
     return world, pgccd.RigidMotion.at_rest(world.position, upright)
 
@@ -258,7 +262,8 @@ def test_mistakes_of_one_rank_are_named_on_all(ranks: RankPool) -> None:
 
 def no_bodies(comm: Comm) -> list[int]:
     none = torch.zeros((0, 3), dtype=torch.float64)
-    world = SharedWorld.create([pgccd.Mesh.box([1.0] * 3)], (0.0,) * 3, (1.0,) * 3, none, comm=comm)
+    scene = pgccd.Scene([pgccd.Mesh.box([1.0] * 3)], [])
+    world = SharedWorld.create(scene, none, (0.0,) * 3, (1.0,) * 3, comm=comm)
     resolved = world.step(pgccd.RigidMotion.at_rest(none, torch.zeros(0, 4)), resolve=True)
     return [len(resolved.fraction), len(resolved.touching_at_start), len(resolved.unresolved), resolved.rounds]
 

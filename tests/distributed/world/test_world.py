@@ -17,7 +17,7 @@ from support.reports import of_contacts, stepped
 from support.same_bits import assert_same, contacts_hash
 
 import pgccd
-from pgccd.distributed import BalanceOptions, Cells, Comm
+from pgccd.distributed import BalanceOptions, Cells, Comm, WorldOptions
 from pgccd.distributed import World as SharedWorld
 from pgccd.distributed.comm.exchange import take_rows
 
@@ -40,22 +40,23 @@ def share(
     ids = 10 * torch.arange(count) + 3  # global ids are not row numbers
     mine = torch.nonzero(torch.randint(comm.size, (count,), generator=generator) == comm.rank)[:, 0]
     columns = {"orientation": crowd.orientation, "velocity": crowd.velocity, "rotation": crowd.rotation}
-    world = SharedWorld.create(
-        crowd.meshes,
-        (0.0,) * 3,
-        (8.0,) * 3,
-        crowd.position[mine].to(device),
-        id=ids[mine].to(device),
-        mesh_index=crowd.mesh_index[mine].to(device),
-        payload={name: column[mine].to(device) for name, column in columns.items()},
-        comm=comm,
+    options = WorldOptions(
         report=of_contacts(report),
         min_separation=crowd.min_separation,
         axes=3 if comm.neighbours_above else 1,  # slabs, which are not all neighbours
         cells=4,
         balance=BalanceOptions("none"),
         overlap=overlap,
-        **{name: column[mine].to(device) for name, column in crowd.filters.items()},
+    )
+    world = SharedWorld.create(
+        crowd.scene(mine).to(device),
+        crowd.position[mine].to(device),
+        (0.0,) * 3,
+        (8.0,) * 3,
+        id=ids[mine].to(device),
+        payload={name: column[mine].to(device) for name, column in columns.items()},
+        comm=comm,
+        options=options,
     )
     if seed:
         owner = torch.randint(comm.size, (world.partition.cell_count,), generator=generator).to(device)
@@ -130,18 +131,16 @@ def tumble(comm: Comm, policy: str) -> list[str]:
     crowd = crowds()["kept apart, filtered"]
     mine = torch.arange(comm.rank, len(crowd.position), comm.size).flip(0)  # not sorted
     columns = {"orientation": crowd.orientation, "velocity": crowd.velocity, "rotation": crowd.rotation}
+    balance = BalanceOptions(policy, every=2, start=0.0, goal=0.0, moving=0.0, deciding=0.0)
     world = SharedWorld.create(
-        crowd.meshes,
+        pgccd.Scene(crowd.meshes, crowd.mesh_index[mine]),
+        crowd.position[mine],
         (0.0,) * 3,
         (8.0,) * 3,
-        crowd.position[mine],
         id=mine,
-        mesh_index=crowd.mesh_index[mine],
         payload={**take_rows(columns, mine), "tag": 7 * mine},
         comm=comm,
-        nonzero_toi=True,
-        cells=4,
-        balance=BalanceOptions(policy, every=2, start=0.0, goal=0.0, moving=0.0, deciding=0.0),
+        options=WorldOptions(nonzero_toi=True, cells=4, balance=balance),
     )
     seen, owners = [], set()
     for _ in range(8):
@@ -184,7 +183,7 @@ def leave_alone(comm: Comm) -> None:
     mesh = crowds()["one body"].meshes[0]
     count = 5 if comm.rank == 0 else 0
     position = 2.0 * torch.arange(3.0 * count, dtype=torch.float64).view(count, 3)
-    world = SharedWorld.create([mesh], (0.0,) * 3, (8.0,) * 3, position, comm=comm)
+    world = SharedWorld.create(pgccd.Scene([mesh], [0] * count), position, (0.0,) * 3, (8.0,) * 3, comm=comm)
     assert int(comm.sum(torch.tensor([len(world.id)]))) == 5
     with pytest.raises(TypeError, match="^motion: expected a pgccd.RigidMotion, VertexMotion or Trajectory, got "):
         world.step(mesh.vertices)  # type: ignore[arg-type]
@@ -208,27 +207,32 @@ def test_mistakes_are_named(world: World) -> None:
 def disagree(comm: Comm) -> list[str]:
     """All ranks raise the same error, whichever rank it comes from."""
     mesh = crowds()["one body"].meshes[0]
+    scene, damaged = pgccd.Scene([mesh]), pgccd.Scene([mesh])
+    damaged.mesh_index[0] = 1
     odd = comm.rank == 1
     position = torch.zeros((1, 3), dtype=torch.float64)
     messages = []
+    right = {"scene": scene, "position": position, "lower": (0.0,) * 3, "upper": (8.0,) * 3, "comm": comm}
     for arguments in (
-        {"min_separation": 0.1 if odd else 0},
+        {"options": WorldOptions(min_separation=0.1 if odd else 0)},
         {"payload": {"mood": position} if odd else {}},
-        {"cells": 3 if odd else 4},
+        {"options": WorldOptions(cells=3 if odd else 4)},
         {"id": torch.tensor([7])},
         {"position": position[:, :2] if odd else position},
-        {"mesh_index": torch.tensor([1 if odd else 0])},
+        {"scene": damaged if odd else scene},
+        {"options": WorldOptions(broad_phase="grid" if odd else "sweep")},
+        {"scene": pgccd.Scene([mesh], margin=0.1 if odd else None)},
     ):
         with pytest.raises(ValueError) as caught:
-            SharedWorld.create([mesh], (0.0,) * 3, (8.0,) * 3, **({"position": position, "comm": comm} | arguments))
+            SharedWorld.create(**(right | arguments))
         messages.append(str(caught.value))
     # Equal values of other types.
     corner = torch.full((3,), 8.0) if odd else (8,) * 3
-    alike: dict[str, Any] = {"cells": [4] * 3 if odd else (4, 4, 4), "comm": comm}
-    SharedWorld.create([mesh], (0,) * 3, corner, position + comm.rank, **alike)
+    alike: Any = WorldOptions(cells=[4] * 3 if odd else (4, 4, 4))  # type: ignore[arg-type]
+    SharedWorld.create(scene, position + comm.rank, (0,) * 3, corner, comm=comm, options=alike)
     with pytest.raises(ValueError, match="^meshes: rank 0 has .*, rank 1 has"):
-        other = pgccd.Mesh(mesh.vertices * 2.0, mesh.faces)
-        SharedWorld.create([other if odd else mesh], (0.0,) * 3, (8.0,) * 3, position, comm=comm)
+        other = pgccd.Scene([pgccd.Mesh(mesh.vertices * 2.0, mesh.faces)])
+        SharedWorld.create(**(right | {"scene": other if odd else scene}))
     return messages
 
 
@@ -241,7 +245,9 @@ def test_ranks_that_disagree_fail_together(ranks: World) -> None:
         "cells: rank 0 has 4, rank 1 has 3",
         "rank 1: id: 7 is given",
         "rank 1: position",
-        "rank 1: mesh_index",
+        "rank 1: mesh_index: body 0: expected a mesh",
+        "broad_phase: rank 0 has 'sweep', rank 1 has 'grid'",
+        "margin: rank 0 has nothing, rank 1 has ('float64', ())",
     ]
     for message, beginning in zip(messages[0], beginnings, strict=True):
         assert message.startswith(beginning), message
@@ -251,7 +257,7 @@ def test_ranks_that_disagree_fail_together(ranks: World) -> None:
 def move_differently(comm: Comm) -> str:
     mesh, still = crowds()["one body"].meshes[0], torch.full((1, 3), 1.0 + 5.0 * comm.rank).double()
     upright = torch.tensor([[1.0, 0.0, 0.0, 0.0]]).double()
-    world = SharedWorld.create([mesh], (0.0,) * 3, (8.0,) * 3, still, comm=comm)
+    world = SharedWorld.create(pgccd.Scene([mesh]), still, (0.0,) * 3, (8.0,) * 3, comm=comm)
     motion: Any = pgccd.RigidMotion(still, upright, still, upright)
     if comm.rank == 1:
         motion = pgccd.Trajectory(still.expand(3, 1, 3), upright.expand(3, 1, 4))
@@ -266,7 +272,8 @@ def test_motions_of_different_kinds_on_ranks(ranks: World) -> None:
 
 def set_partitions(comm: Comm) -> list[str]:
     mesh, position = crowds()["one body"].meshes[0], torch.zeros((0, 3)).double()
-    world, said = SharedWorld.create([mesh], (0.0,) * 3, (8.0,) * 3, position, comm=comm, partition="cells"), []
+    options, said = WorldOptions(partition="cells"), []
+    world = SharedWorld.create(pgccd.Scene([mesh], []), position, (0.0,) * 3, (8.0,) * 3, comm=comm, options=options)
     former = world.partition
     owners = torch.full_like(former.owner, comm.rank)
     other = Cells.uniform((0.0,) * 3, (8.0,) * 3, comm.size + 1)
@@ -285,15 +292,23 @@ def test_a_partition_that_ranks_cannot_share(ranks: World) -> None:
         assert "partition: expected Cells or a Bisection" in said[2]
 
 
+def options_of(**wrong: Any) -> WorldOptions:
+    return WorldOptions(**wrong)
+
+
 WRONG: dict[str, dict[str, Any]] = {
-    "report: expected one of": {"report": "bogus"},
-    "broad_phase: expected one of": {"broad_phase": "bogus"},
-    "path: expected one of": {"path": "bogus"},
-    "min_separation: expected a finite length": {"min_separation": float("nan")},
-    "tolerance: expected a finite length": {"tolerance": -1.0},
-    "nonzero_toi: expected True or False": {"nonzero_toi": "yes"},
-    "overlap: expected True or False": {"overlap": "x"},
-    "balance: expected BalanceOptions": {"balance": "cost"},
+    "report: expected one of": {"options": options_of(report="bogus")},
+    "broad_phase: expected one of": {"options": options_of(broad_phase="bogus")},
+    "path: expected one of": {"options": options_of(path="bogus")},
+    "min_separation: expected a finite length": {"options": options_of(min_separation=float("nan"))},
+    "tolerance: expected a finite length": {"options": options_of(tolerance=-1.0)},
+    "nonzero_toi: expected True or False": {"options": options_of(nonzero_toi="yes")},
+    "overlap: expected True or False": {"options": options_of(overlap="x")},
+    "balance: expected BalanceOptions": {"options": options_of(balance="cost")},
+    "partition: expected one of": {"options": options_of(partition="bogus")},
+    "options: expected WorldOptions, got dict": {"options": {"report": "all"}},
+    "scene: expected a pgccd.Scene, got list": {"scene": crowds()["one body"].meshes},
+    "position: expected shape (2, 3), got (3, 3)": {"position": torch.zeros((3, 3))},
     "position: row 1: expected finite numbers up to 1e+150, got [0.0, nan, 0.0]": {
         "position": torch.tensor([[0.0, 0.0, 0.0], [0.0, torch.nan, 0.0]]).double()
     },
@@ -309,11 +324,11 @@ WRONG: dict[str, dict[str, Any]] = {
 
 
 def refuse(comm: Comm) -> list[str]:
-    mesh = crowds()["one body"].meshes[0]
+    scene = pgccd.Scene(crowds()["one body"].meshes[:1], [0, 0])
     position = torch.zeros((2, 3)).double()
     messages = []
     for wrong in WRONG.values():
-        given = {"meshes": [mesh], "lower": (0.0,) * 3, "upper": (8.0,) * 3, "position": position, "comm": comm}
+        given = {"scene": scene, "position": position, "lower": (0.0,) * 3, "upper": (8.0,) * 3, "comm": comm}
         with pytest.raises((TypeError, ValueError)) as caught:
             SharedWorld.create(**(given | wrong))
         messages.append(str(caught.value))

@@ -14,12 +14,13 @@ import torch
 from support.cases import mostly_slow
 from support.crowds import crowds
 from support.ranks import RankPool, to_all
+from support.reports import of_contacts
 
 import pgccd
 from distributed.world import test_motions
 from distributed.world.test_motions import REPORTS, STEPS, alone, require_equal, rows_of, spread, vertices_of
 from pgccd.checkpoint.files import FOLDER, CheckpointError
-from pgccd.distributed import Alone, BalanceOptions, Comm, World
+from pgccd.distributed import Alone, BalanceOptions, Comm, World, WorldOptions
 from pgccd.distributed.checkpoint import writing
 from pgccd.distributed.comm.exchange import take_rows
 
@@ -40,24 +41,21 @@ def begin(comm: Comm, partition: str = "cells") -> World:
     columns |= {"short": torch.arange(count).to(torch.uint16), "low": torch.arange(count).to(torch.float8_e4m3fn)}
     columns |= {"odd": (torch.arange(count) % 2 == 1)[:, None], "none": torch.zeros((count, 0))}
     return World.create(
-        crowd.meshes,
+        crowd.scene(mine),
+        crowd.position[mine],
         (0.0,) * 3,
         (8.0,) * 3,
-        crowd.position[mine],
         id=10 * mine + 3,
-        mesh_index=crowd.mesh_index[mine],
         payload=take_rows(columns, mine),
         comm=comm,
-        nonzero_toi=True,
-        partition=partition,
-        cells=4,
-        balance=EAGER,
-        **{name: column[mine] for name, column in crowd.filters.items()},
+        options=WorldOptions(nonzero_toi=True, partition=partition, cells=4, balance=EAGER),
     )
 
 
 def load(comm: Comm, folder: str | Path) -> World:
-    return World.load(folder, crowds()[CROWD].meshes, comm=comm, nonzero_toi=True, balance=EAGER)
+    # The partition, axes and cells of the checkpoint are kept.
+    options = WorldOptions(nonzero_toi=True, balance=EAGER, axes=2, cells=7)
+    return World.load(folder, crowds()[CROWD].meshes, comm=comm, options=options)
 
 
 def numbers(columns: list[torch.Tensor]) -> list[list[float]]:
@@ -142,10 +140,12 @@ def test_the_kind_of_partition_is_kept(tmp_path: Path) -> None:
     crowd = crowds()[CROWD]
 
     def kind(balance: BalanceOptions) -> str:
-        return type(World.load(tmp_path, crowd.meshes, balance=balance).partition).__name__
+        return type(World.load(tmp_path, crowd.meshes, options=WorldOptions(balance=balance)).partition).__name__
 
+    scene, box = pgccd.Scene(crowd.meshes, crowd.mesh_index), ((0.0,) * 3, (8.0,) * 3)
     for chosen, kept in (("one-cell", "Cells"), ("cost", "Bisection")):
-        world = World.create(crowd.meshes, (0.0,) * 3, (8.0,) * 3, crowd.position, balance=BalanceOptions(chosen))
+        options = WorldOptions(balance=BalanceOptions(chosen))
+        world = World.create(scene, crowd.position, *box, options=options)
         assert type(world.partition).__name__ == kept
         world.save(tmp_path)
         assert kind(EAGER) == kept and kind(BalanceOptions("one-cell")) == "Cells"
@@ -168,16 +168,9 @@ def first_vertices(world: World, x: torch.Tensor) -> torch.Tensor:
 
 
 def load_deforming(comm: Comm, folder: str, report: str, partition: str) -> int:
-    contacts = 0
+    contacts, options = 0, WorldOptions(report=of_contacts(report), min_separation=0.01, balance=EAGER)
     for when in ("before", "after"):
-        world = World.load(
-            Path(folder, when),
-            test_motions.meshes().meshes,
-            comm=comm,
-            report=report,
-            min_separation=0.01,
-            balance=BalanceOptions("cost", start=0.0, goal=0.0, moving=0.0, deciding=0.0),
-        )
+        world = World.load(Path(folder, when), test_motions.meshes().meshes, comm=comm, options=options)
         if when == "before":
             assert torch.equal(world.vertex_payload["x"], vertices_of(rows_of(world), 0))
             after = vertices_of(rows_of(world), 1)
@@ -224,7 +217,8 @@ def few(comm: Comm, folder: str, count: int) -> list[int]:
     """A world with bodies on some of the ranks, or on none."""
     mesh, far = crowds()["one body"].meshes[0], 2.0 * torch.arange(3.0 * count, dtype=torch.float64).view(count, 3)
     mine = far if comm.rank == 0 else far[:0]
-    world = World.create([mesh], (0.0,) * 3, (8.0,) * 3, mine, payload={"v": mine}, comm=comm)
+    scene = pgccd.Scene([mesh], [0] * len(mine))
+    world = World.create(scene, mine, (0.0,) * 3, (8.0,) * 3, payload={"v": mine}, comm=comm)
     world.save(folder)
     loaded = World.load(folder, [mesh], comm=comm)
     assert torch.equal(loaded.payload["v"], world.payload["v"]) and torch.equal(loaded.id, world.id)

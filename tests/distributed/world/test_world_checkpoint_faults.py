@@ -27,7 +27,7 @@ from distributed.world.test_world_checkpoint import CROWD, begin, load, save_on_
 from pgccd.checkpoint import files
 from pgccd.checkpoint.files import FOLDER, POINTER
 from pgccd.checkpoint.lock import hold
-from pgccd.distributed import Alone, BalanceOptions, CheckpointError, Comm, World
+from pgccd.distributed import Alone, BalanceOptions, CheckpointError, Comm, World, WorldOptions
 from pgccd.distributed.checkpoint import shared_folder
 
 CPU = torch.device("cpu")
@@ -36,9 +36,9 @@ CPU = torch.device("cpu")
 def test_a_type_that_files_cannot_hold(tmp_path: Path) -> None:
     begin(Alone()).save(tmp_path)
     position = torch.zeros((1, 3), dtype=torch.float64)
-    mesh = crowds()[CROWD].meshes[0]
+    scene = pgccd.Scene(crowds()[CROWD].meshes[:1])
     for payload in ({"z": position.to(torch.complex128)}, {"\ud800": position}):
-        world = World.create([mesh], (0.0,) * 3, (8.0,) * 3, position, payload=payload)
+        world = World.create(scene, position, (0.0,) * 3, (8.0,) * 3, payload=payload)
         with pytest.raises(CheckpointError, match=r"^/.*/rank-00000.safetensors cannot be written: "):
             world.save(tmp_path)
     assert state_of(load(Alone(), tmp_path)) == state_of(begin(Alone()))  # the previous one
@@ -384,7 +384,7 @@ def mistakes(comm: Comm, folder: str) -> list[str]:
         (right, {"balance": BalanceOptions("cost" if comm.rank else "none")}),
     ):
         with pytest.raises(ValueError) as caught:  # noqa: PT011
-            World.load(folder, meshes, comm=comm, **more)
+            World.load(folder, meshes, comm=comm, options=WorldOptions(**more))
         said.append(str(caught.value))
     return said
 
@@ -407,4 +407,5 @@ def test_no_path() -> None:
 def test_one_cell_needs_cells(tmp_path: Path) -> None:
     begin(Alone(), "bisection").save(tmp_path)
     with pytest.raises(ValueError, match="^balance: .*one-cell"):
-        World.load(tmp_path, crowds()[CROWD].meshes, balance=BalanceOptions("one-cell"))
+        options = WorldOptions(balance=BalanceOptions("one-cell"))
+        World.load(tmp_path, crowds()[CROWD].meshes, options=options)
