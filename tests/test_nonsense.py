@@ -91,8 +91,8 @@ def calls(folder: Path) -> dict[str, Call]:
     np.savez(folder / "poses.npz", **{n: c.numpy() for n, c in poses.items()}, orientation_t1=poses["orientation_t0"])
     np.savez(folder / "rollout.npz", position=np.zeros((3, 2, 3)), orientation=np.zeros((3, 2, 4)))
     filters: dict[str, Any] = dict.fromkeys(("group", "mask", "world"), [0, 1]) | {"static": [False, True]}
-    box = (0, 0, 0), (9, 9, 9)
-    world = distributed.World.create(scene, motion.position_t0, *box, payload={"v": torch.ones(2, 3)})
+    box, two = ((0, 0, 0), (9, 9, 9)), pgccd.Scene([mesh], [0, 0])
+    world = distributed.World.create(two, motion.position_t0, *box, payload={"v": torch.ones(2, 3)})
     world.save(folder / "saved")
     hits = pgccd.detect(scene, motion)
     rollout = pgccd.Trajectory(*(torch.stack(ends) for ends in zip(motion.at(0.0), motion.at(1.0), strict=True)))
@@ -104,16 +104,15 @@ def calls(folder: Path) -> dict[str, Call]:
         return {"position": bodies.position}
 
     config = {field: getattr(sim.ModelConfig(), field) for field in sim.ModelConfig.__dataclass_fields__}
-    new = {"scene": scene, "position": motion.position_t0, "exclude": [[0, 1]]}
+    new = {"scene": two, "position": motion.position_t0, "exclude": [[0, 1]]}
     added = new | {"id": torch.arange(2, 4), "payload": {"v": torch.ones(2, 3)}, "vertex_payload": {}}
-    of_world = {"report": "first", "broad_phase": "auto", "path": "rigid", "axes": 3, "cells": 16, "overlap": True}
-    of_world |= {"partition": "auto", **options, **initial}
+    of_world = {name: value for name, value in vars(distributed.WorldOptions()).items() if name != "balance"}
     all_worlds = new | dict(zip(("lower", "upper"), box, strict=True))
     all_worlds |= {"id": torch.arange(2), "payload": {}, "vertex_payload": {}, "options": distributed.WorldOptions()}
 
     def create_with(**chosen: Any) -> distributed.World:
         options = distributed.WorldOptions(**chosen)
-        return distributed.World.create(scene, motion.position_t0, *box, options=options)
+        return distributed.World.create(two, motion.position_t0, *box, options=options)
 
     return {
         "Mesh": Call(

@@ -10,8 +10,8 @@
 //                     blocks_t0 (Y, 9, 8) f32, blocks_t1 (Y, 9, 8) f32, vertex_begin (N,) i64, block_begin (N,) i64]
 //                     see core/bodies.h; either list may be followed by margin (N,)
 // swept = [position_t0 (N, 3), position_t1 (N, 3), radius (N,), group (N,) i64, mask (N,) i64, world (N,) i32,
-//          is_static (N,) u8, in_other_search (N,) u8, boxes (N, 28) f32 of moving_boxes] see kernels/broad/broad.h;
-//         those after the radius may be None, or left out at the end
+//          is_static (N,) u8, in_other_search (N,) u8, boxes (N, 28) f32 of moving_boxes] see
+//          kernels/broad/body_volumes.h; those after the radius may be None, or left out at the end
 // All arguments are checked: shapes, dtypes, devices, lengths, and rows that name other rows. On a CPU a wrong one
 // raises an error that names it. On a GPU the host does not wait for checks of values: traversals count no pairs and
 // overflow (`contacts_padded_*`), or raise (`traverse_*`, `narrow_*`, which wait anyway); other launches fail, as

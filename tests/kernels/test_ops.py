@@ -278,6 +278,16 @@ def test_operators_complain_themselves(device: torch.device) -> None:
             ops.broad_pairs([*columns, *[None] * (k - 3), torch.zeros(6, device=device)], 0.0, 0.0, 0, -1)
 
 
+@pytest.mark.cuda
+def test_swept_bodies_are_on_one_device() -> None:
+    columns = tensors(*np.zeros((2, 5, 3)), np.ones(5), device="cuda")
+    for k in range(1, 9):
+        swept = [*columns, *[None] * 6]
+        swept[k] = torch.zeros(5)
+        with pytest.raises(RuntimeError, match=": on another device than the first tensor"):
+            ops.broad_pairs(swept, 0.0, 0.0, 0, -1)
+
+
 def test_a_step_complains_itself(device: torch.device) -> None:
     _, arguments = next(call for call in recorded(device) if call[0] == "detect_rigid")
     _, _, _, swept, _, _, _, _, options, *_ = arguments

@@ -296,6 +296,14 @@ def options_of(**wrong: Any) -> WorldOptions:
     return WorldOptions(**wrong)
 
 
+def written_to(**columns: Any) -> pgccd.Scene:
+    """A scene with columns of values that were valid once."""
+    scene = pgccd.Scene(crowds()["one body"].meshes[:1], [0, 0], world=[0, 0], margin=0.1)
+    for name, value in columns.items():
+        getattr(scene, name)[1] = value
+    return scene
+
+
 WRONG: dict[str, dict[str, Any]] = {
     "report: expected one of": {"options": options_of(report="bogus")},
     "broad_phase: expected one of": {"options": options_of(broad_phase="bogus")},
@@ -308,6 +316,9 @@ WRONG: dict[str, dict[str, Any]] = {
     "partition: expected one of": {"options": options_of(partition="bogus")},
     "options: expected WorldOptions, got dict": {"options": {"report": "all"}},
     "scene: expected a pgccd.Scene, got list": {"scene": crowds()["one body"].meshes},
+    "mesh_index: body 1: expected a mesh": {"scene": written_to(mesh_index=1)},
+    "margin: body 1: expected a finite length": {"scene": written_to(margin=-1.0)},
+    "world: body 1: expected an id": {"scene": written_to(world=-1)},
     "position: expected shape (2, 3), got (3, 3)": {"position": torch.zeros((3, 3))},
     "position: row 1: expected finite numbers up to 1e+150, got [0.0, nan, 0.0]": {
         "position": torch.tensor([[0.0, 0.0, 0.0], [0.0, torch.nan, 0.0]]).double()
