@@ -140,7 +140,7 @@ case("mesh_index beyond int32", lambda: scene(mesh_index=[0, 2**32]), "mesh_inde
 case("mesh_index float", lambda: scene(mesh_index=[0.0, 1.0]), "mesh_index", "integers")
 case("mesh_index shape", lambda: scene(mesh_index=torch.zeros(2, 1).int()), "mesh_index")
 case("meshes", lambda: pgccd.Scene([]), "meshes")
-case("meshes type", lambda: pgccd.Scene([tetrahedron(), "robot.ply"]), r"meshes\[1\]", "str")  # type: ignore[list-item]
+case("meshes type", lambda: pgccd.Scene([tetrahedron(), "robot.ply"]), r"meshes\[1\]", "robot.ply")  # type: ignore[list-item]
 for _name in ("group", "mask", "world", "static"):
     case(f"{_name} count", lambda n=_name: scene(**{n: torch.tensor([True]) if n == "static" else [1]}), _name, "2")
 for _name in ("group", "mask", "world"):
