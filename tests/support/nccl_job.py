@@ -45,7 +45,9 @@ def test_robots(comm: Comm, device: torch.device, steps: int) -> None:
     """Worlds of robots."""
     assert test_rank.follow_not_captured(comm, test_rank.single_run("random", 12), str(device))["replayed"] == 0
     # With cells assigned at random, and a rank whose capacity overflows now and then.
-    seen = test_rank.follow(comm, test_rank.single_run("random", steps), "random", "none", True, True, str(device), True)
+    seen = test_rank.follow(
+        comm, test_rank.single_run("random", steps), "random", "none", True, True, str(device), True
+    )
     assert seen["contacts"] > 100 and seen["arrived"] > 20
     # With messages to all ranks, and between neighbours only, as for many ranks.
     for neighbours_above in (32, 0):
