@@ -69,6 +69,14 @@ def choice(value: Any, name: str, choices: Iterable[str]) -> None:
         raise error(f"{name}: expected one of {list(choices)}, got {describe(value)}")
 
 
+def instance(value: Any, name: str, *kinds: type) -> None:
+    """Raises TypeError unless the value is of one of these classes of `pgccd`."""
+    if not isinstance(value, kinds):
+        *others, last = (kind.__name__ for kind in kinds)
+        expected = " or ".join([", ".join(others), last] if others else [last])
+        raise TypeError(f"{name}: expected a pgccd.{expected}, got {describe(value)}")
+
+
 def dtype_name(dtype: torch.dtype) -> str:
     """The name of a dtype, such as "float64"."""
     return str(dtype).removeprefix("torch.")

@@ -6,16 +6,17 @@ import json
 import os
 import re
 import signal
-import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from support.forked_job import ForkedJob
 
 import pgccd
 from pgccd import files
+from pgccd.__main__ import run
 from pgccd.cli import main
 from pgccd.sim import robot_mesh
 
@@ -215,12 +216,17 @@ def test_a_folder_that_cannot_be_written_is_refused_before_the_first_step(
     assert "argument --out: cannot write to /proc/run" in capsys.readouterr().err
 
 
-def test_output_whose_reader_has_ended() -> None:
+def inform_nobody() -> int:
     read, write = os.pipe()
     os.close(read)
-    done = subprocess.run([sys.executable, "-m", "pgccd", "info"], stdout=write, stderr=subprocess.PIPE, text=True)
-    os.close(write)
-    assert (done.returncode, done.stderr) == (-signal.SIGPIPE, "")
+    os.dup2(write, sys.stdout.fileno())
+    sys.argv = ["pgccd", "info"]
+    return run()
+
+
+def test_output_whose_reader_has_ended(tmp_path: Path) -> None:
+    with ForkedJob(1, tmp_path, inform_nobody) as job:
+        assert (job.finish(), job.said) == ([-signal.SIGPIPE], "")
 
 
 def test_info_names_version_and_kernels(meshes: list[str], capsys: pytest.CaptureFixture[str]) -> None:

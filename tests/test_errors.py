@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,11 +10,10 @@ import numpy as np
 import pytest
 import torch
 from support.capacities import ON_GPU
+from support.forked_job import ForkedJob
 from support.shapes import Bodies, approaching, bumpy, tensors, tetrahedron
 
 import pgccd
-
-ROOT = Path(__file__).resolve().parents[1]
 
 
 def bodies() -> Bodies:
@@ -140,7 +137,7 @@ case("mesh_index beyond int32", lambda: scene(mesh_index=[0, 2**32]), "mesh_inde
 case("mesh_index float", lambda: scene(mesh_index=[0.0, 1.0]), "mesh_index", "integers")
 case("mesh_index shape", lambda: scene(mesh_index=torch.zeros(2, 1).int()), "mesh_index")
 case("meshes", lambda: pgccd.Scene([]), "meshes")
-case("meshes type", lambda: pgccd.Scene([tetrahedron(), "robot.ply"]), r"meshes\[1\]", "str")  # type: ignore[list-item]
+case("meshes type", lambda: pgccd.Scene([tetrahedron(), "robot.ply"]), r"meshes\[1\]", "robot.ply")  # type: ignore[list-item]
 for _name in ("group", "mask", "world", "static"):
     case(f"{_name} count", lambda n=_name: scene(**{n: torch.tensor([True]) if n == "static" else [1]}), _name, "2")
 for _name in ("group", "mask", "world"):
@@ -233,33 +230,23 @@ def test_message_names_the_argument(name: str) -> None:
         call()
 
 
-def test_candidates_out_of_range() -> None:
+OUT_OF_RANGE = [[1, 0, 0, 0], [-1, 0, 0, 0], [0, 5, 0, 0], [0, 0, 100_000_000, 0], [0, 2, 0, 100_000_000]]
+OUT_OF_RANGE += [[0, 1, -7, 0], [0, 1, 1, 0], [0, -1, 0, 0], [0, 3, 3, 0], [0, 3, 0, 1], [0, 4, 1, 0], [0, 4, 0, 3]]
+
+
+def find_candidate(row: list[int]) -> None:
+    mesh = pgccd.Mesh([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+    still = torch.zeros(2, 3), torch.tensor([[1.0, 0, 0, 0]] * 2)
+    bodies = pgccd.MovingBodies.of(pgccd.Scene([mesh, mesh]), pgccd.RigidMotion(*still, *still))
+    with pytest.raises((ValueError, RuntimeError), match="candidates"):
+        pgccd.narrow.find_contacts(bodies, torch.tensor([[0, 1]]), torch.tensor([row], dtype=torch.int32))
+
+
+def test_candidates_out_of_range(tmp_path: Path) -> None:
     # In separate processes: an out-of-bounds read would crash this one.
-    program = """
-import os
-import torch, pgccd
-mesh = pgccd.Mesh([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
-still = torch.zeros(2, 3), torch.tensor([[1.0, 0, 0, 0]] * 2)
-bodies = pgccd.MovingBodies.of(pgccd.Scene([mesh, mesh]), pgccd.RigidMotion(*still, *still))
-torch.set_num_threads(1)
-big = 100_000_000
-for row in (
-    [1, 0, 0, 0], [-1, 0, 0, 0], [0, 5, 0, 0], [0, 0, big, 0], [0, 2, 0, big], [0, 1, -7, 0], [0, 1, 1, 0],
-    [0, -1, 0, 0], [0, 3, 3, 0], [0, 3, 0, 1], [0, 4, 1, 0], [0, 4, 0, 3],
-):
-    child = os.fork()
-    if child == 0:
-        try:
-            pgccd.narrow.find_contacts(bodies, torch.tensor([[0, 1]]), torch.tensor([row], dtype=torch.int32))
-        except (ValueError, RuntimeError) as error:
-            os._exit(0 if "candidates" in str(error) else 2)
-        os._exit(1)
-    status = os.waitpid(child, 0)[1]
-    if status:
-        print(row, f"signal {status}" if status < 128 else "no error that names candidates")
-"""
-    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, timeout=120)
-    assert (done.returncode, done.stdout) == (0, "")
+    for row in OUT_OF_RANGE:
+        with ForkedJob(1, tmp_path, find_candidate, row) as job:
+            assert job.finish() == [0], (row, job.said)
 
 
 def test_files(tmp_path: Path) -> None:

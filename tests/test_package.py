@@ -9,6 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import pytest
 
@@ -17,8 +18,13 @@ import pgccd
 ROOT = Path(__file__).resolve().parents[1]
 
 
-def test_importing_brings_no_more_than_detection_needs() -> None:
-    program = """
+@pytest.fixture(scope="module")
+def said(tmp_path_factory: pytest.TempPathFactory) -> list[Any]:
+    """By a process that imports pgccd and then calls every public function: which modules the import has loaded, how
+    pgccd answers for modules that are imported later, and the number and the heavy ones of those that each call loads.
+    """
+    folder = tmp_path_factory.mktemp("said")
+    program = f"""
 import sys, json, pgccd
 large = ("trimesh", "matplotlib", "rich", "scipy", "mpi4py")
 later = ("pgccd.sim", "pgccd.viz", "pgccd.distributed", "pgccd.files", "pgccd.about", "pgccd.robots")
@@ -29,20 +35,8 @@ used = [pgccd.about, pgccd.distributed.World, pgccd.files.load_motion, pgccd.sim
 try:
     pgccd.simulation
 except AttributeError as error:
-    print(json.dumps([before, seen, str(error)]))
-"""
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0, done.stderr
-    later = ["about", "distributed", "files", "robots", "sim", "simulators", "viz"]
-    assert json.loads(done.stdout) == [[], later, "module 'pgccd' has no attribute 'simulation'"]
-
-
-def test_first_calls_load_no_more_than_they_need(tmp_path: Path) -> None:
-    """One process calls every public function; none loads what costs more time than the call."""
-    program = f"""
-import json, sys
-import torch, pgccd
+    answer = str(error)
+import torch
 from pgccd import distributed, files, sim
 scene = pgccd.Scene([pgccd.Mesh.box([1.0, 1.0, 1.0])], [0, 0])
 x, v = torch.tensor([[0.0, 0, 0], [3.0, 0.1, 0.2]]), torch.tensor([[0.0, 0, 0], [-4.0, 0, 0]])
@@ -68,9 +62,9 @@ calls = {{
     "orientation": lambda: pgccd.integrate_orientation(q, v),
     "elementary": lambda: pgccd.narrow.vertex_face(torch.rand(2, 4, 3), torch.rand(2, 4, 3)),
     "state": lambda: pgccd.Scene.from_state_dict(scene.state_dict()).to("cpu"),
-    "world": lambda: (w := world(), w.step(motion, resolve=True), w.move(w.position), w.save({str(tmp_path / "w")!r})),
-    "simulation": lambda: sim.run(sim.ModelConfig(robots=20), 2, {str(tmp_path / "run")!r}),
-    "page": lambda: pgccd.show(scene, motion, path={str(tmp_path / "page.html")!r}),
+    "world": lambda: (w := world(), w.step(motion, resolve=True), w.move(w.position), w.save({str(folder / "w")!r})),
+    "simulation": lambda: sim.run(sim.ModelConfig(robots=20), 2, {str(folder / "run")!r}),
+    "page": lambda: pgccd.show(scene, motion, path={str(folder / "page.html")!r}),
 }}
 heavy = {{"sympy", "mpmath", "scipy", "trimesh", "matplotlib", "networkx", "torch._dynamo", "torch._inductor"}}
 loaded = {{}}
@@ -79,12 +73,22 @@ for name, call in calls.items():
     call()
     new = set(sys.modules) - before
     loaded[name] = [len(new), sorted(heavy & {{".".join(each.split(".")[:n]) for each in new for n in (1, 2)}})]
-print(json.dumps(loaded))
+print(json.dumps([before, seen, answer, loaded]))
 """
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
-    for name, (count, heavy) in json.loads(done.stdout).items():
+    return json.loads(done.stdout)
+
+
+def test_importing_brings_no_more_than_detection_needs(said: list[Any]) -> None:
+    later = ["about", "distributed", "files", "robots", "sim", "simulators", "viz"]
+    assert said[:3] == [[], later, "module 'pgccd' has no attribute 'simulation'"]
+
+
+def test_first_calls_load_no_more_than_they_need(said: list[Any]) -> None:
+    """None loads what costs more time than the call."""
+    for name, (count, heavy) in said[3].items():
         assert heavy == [], name
         assert count <= {"world": 130, "simulation": 60, "page": 60}.get(name, 12), name
 

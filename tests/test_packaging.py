@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import re
@@ -15,6 +16,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from support.forked_job import ForkedJob
 
 from pgccd import _requirements
 
@@ -84,8 +86,18 @@ def test_import_of_what_is_not_compiled(tmp_path: Path) -> None:
     assert "`make build`" in text and "run Python in another folder" in text
 
 
-def test_operators_that_do_not_load() -> None:
-    text = import_error("import sys; sys.modules['pgccd._C'] = None")
+def import_without_operators() -> None:
+    """Beside torch, which this process has imported."""
+    for name in [name for name in sys.modules if name.split(".")[0] == "pgccd"]:
+        del sys.modules[name]
+    sys.modules["pgccd._C"] = None  # type: ignore[assignment]
+    importlib.import_module("pgccd")
+
+
+def test_operators_that_do_not_load(tmp_path: Path) -> None:
+    with ForkedJob(1, tmp_path, import_without_operators) as job:
+        assert job.finish() == [1], job.said
+    text = job.said.strip().rpartition("\n")[2]
     assert re.match(r"ImportError: the operators of pgccd \((built with|without) CUDA", text)
     assert f"do not load beside torch {torch.__version__} (CUDA {torch.version.cuda or 'none'}): import of" in text
 
@@ -193,6 +205,16 @@ def test_actions_are_pinned() -> None:
     assert len(remote) > 4 and [name for name in remote if not re.fullmatch(r"[\w./-]+@v\d+\.\d+\.\d+", name)] == []
 
 
+def flags_of(command: str, toolkit: str) -> None:
+    """Prints those of setup.py."""
+    os.environ |= {"CUDA_HOME": toolkit, "PGCCD_CUDA": "1", "TORCH_CUDA_ARCH_LIST": "8.0;9.0+PTX"}
+    sys.argv = ["setup.py", command]
+    extensions = importlib.import_module("build_support.extensions")
+    operators, host = extensions.extension_modules()
+    made = [operators.extra_compile_args, operators.extra_link_args, operators.libraries, operators.library_dirs]
+    print(json.dumps([*made, host.extra_compile_args, host.extra_link_args]))  # noqa: T201
+
+
 @pytest.mark.parametrize("command", ["build_ext", "bdist_wheel"])
 @pytest.mark.skipif(torch.version.cuda is None, reason="torch has no CUDA")
 def test_flags(command: str, tmp_path: Path) -> None:
@@ -204,13 +226,9 @@ def test_flags(command: str, tmp_path: Path) -> None:
     (tmp_path / "lib" / "libcudart_static.a").touch()
     (tmp_path / "bin" / "nvcc").write_text(f"#!/bin/sh\necho Cuda compilation tools, release {version}, V{version}\n")
     (tmp_path / "bin" / "nvcc").chmod(0o755)
-    program = f"import json, sys; sys.argv = ['setup.py', {command!r}]\n"
-    program += "from build_support import extensions\noperators, host = extensions.extension_modules()\n"
-    program += "print(json.dumps([operators.extra_compile_args, operators.extra_link_args, operators.libraries,"
-    program += " operators.library_dirs, host.extra_compile_args, host.extra_link_args]))"
-    done = run(program, CUDA_HOME=str(tmp_path), PGCCD_CUDA="1", TORCH_CUDA_ARCH_LIST="8.0;9.0+PTX")
-    assert done.returncode == 0, done.stderr
-    compiled, linked, libraries, folders, host_compiled, host_linked = json.loads(done.stdout)
+    with ForkedJob(1, tmp_path / "said", flags_of, command, str(tmp_path)) as job:
+        assert job.finish() == [0], job.said
+    compiled, linked, libraries, folders, host_compiled, host_linked = json.loads(job.said)
     assert "cudart_static" in libraries and not {"cudart", "torch_cuda", "c10_cuda"} & set(libraries)
     assert str(tmp_path / "lib") in folders
     for flags in (compiled["nvcc"], compiled["cxx"], host_compiled["cxx"]):

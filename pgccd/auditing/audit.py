@@ -89,8 +89,7 @@ def audit(
         (tensor([[0, 1]]), tensor([0]))
     """
     Query("first", min_separation, tolerance, False)  # checks them
-    if not isinstance(scene, Scene):
-        raise TypeError(f"scene: expected a pgccd.Scene, got {arguments.describe(scene)}")
+    arguments.instance(scene, "scene", Scene)
     arguments.choice(path, "path", PATHS)
     keep = arguments.integer(keep, "keep", 0, "a number of segments >= 0")
     if scene.margin is not None:

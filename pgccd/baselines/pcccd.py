@@ -132,8 +132,7 @@ class PCCCD:
         Raises:
             TypeError, ValueError: naming the argument.
         """
-        if not isinstance(motion, RigidMotion):
-            raise TypeError(f"motion: expected a pgccd.RigidMotion, got {arguments.describe(motion)}")
+        arguments.instance(motion, "motion", RigidMotion)
         if motion.device.type != "cpu":
             raise ValueError(f"motion: expected one on the CPU, got one on {motion.device}")
         count = motion.body_count

@@ -7,8 +7,8 @@ from torch import Tensor
 
 from pgccd.contacts.contacts import Contacts
 from pgccd.contacts.derivatives import Corners, differentiate
-from pgccd.contacts.kinds import EDGE, FACE, FEATURES, Kind, Status
-from pgccd.geometry.mesh import MeshSet
+from pgccd.contacts.kinds import Kind, Status
+from pgccd.contacts.sites import corner_rows, feature_rows
 from pgccd.geometry.scene import Scene
 from pgccd.motion.differentiable import oriented, rows_of, turned, with_gradient_of
 from pgccd.motion.paths import RigidMotion, VertexMotion
@@ -48,33 +48,16 @@ def corner_points(
         kind, features, toi: columns of contacts.
     """
     mesh = scene.mesh_index[bodies].long()
-    rows = _corner_rows(scene.meshes, mesh, kind, features)
+    rows = corner_rows(scene.meshes, mesh, *feature_rows(scene.meshes, mesh, kind, features))
     if isinstance(motion, RigidMotion):
-        offsets = scene.meshes.offsets[:, 0].to(scene.device)
-        vertices = scene.meshes.tensors[0][offsets[mesh][:, :, None] + rows]
-        position, velocity = _rigid_points(motion, bodies, vertices, toi[:, None, None, None])
+        position, velocity = _rigid_points(motion, bodies, scene.meshes.tensors[0][rows], toi[:, None, None, None])
     else:
-        rows = rows + scene.layout.vertex_begin[bodies][:, :, None]
+        first_vertex = scene.meshes.offsets[:, 0].to(scene.device)[mesh]
+        rows = rows + (scene.layout.vertex_begin[bodies] - first_vertex)[:, :, None]
         x_t0, x_t1 = rows_of(motion.x_t0, rows), rows_of(motion.x_t1, rows)
         velocity = x_t1 - x_t0
         position = x_t0 + toi[:, None, None, None] * velocity
     return position, velocity
-
-
-def _corner_rows(meshes: MeshSet, mesh: Tensor, kind: Tensor, features: Tensor) -> Tensor:
-    """(K, 2, 3) int64: rows of the corners among the vertices of their meshes (K, 2), see `Corners`."""
-    counted = torch.tensor(FEATURES, device=kind.device)[kind.long()]  # (K, 2)
-    row = meshes.offsets.to(kind.device)[mesh, counted] + features.long()
-    faces, edges = (tensor.long() for tensor in meshes.tensors[1:3])
-    is_face, is_edge = counted == FACE, counted == EDGE
-    of_face = faces[torch.where(is_face, row, 0)]
-    of_edge = edges[torch.where(is_edge, row, 0)]
-    first, last = of_edge.unbind(2)
-    second = torch.stack([last[:, 0], first[:, 1]], 1)
-    third = torch.stack([first[:, 0], last[:, 1]], 1)
-    of_edge = torch.stack([first, second, third], 2)
-    of_vertex = features.long()[:, :, None].expand(-1, -1, 3)
-    return torch.where(is_face[:, :, None], of_face, torch.where(is_edge[:, :, None], of_edge, of_vertex))
 
 
 def _rigid_points(motion: RigidMotion, pairs: Tensor, vertices: Tensor, time: Tensor) -> tuple[Tensor, Tensor]:

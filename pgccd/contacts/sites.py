@@ -13,6 +13,7 @@ from pgccd import ops
 from pgccd.contacts.contacts import Contacts
 from pgccd.contacts.kinds import EDGE, FACE, FEATURES, VERTEX, Kind
 from pgccd.geometry.incidence import Incidence, Lists
+from pgccd.geometry.mesh import MeshSet
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.vectors import cross, dot, norm
@@ -37,6 +38,25 @@ def groups_of(*columns: Tensor) -> tuple[Tensor, Tensor]:
     distinct, group = torch.unique(torch.cat(bits, 1), dim=0, return_inverse=True)
     every = torch.arange(len(group), device=group.device)
     return group, reduced(every, group, len(distinct), "amin", len(group))
+
+
+def feature_rows(meshes: MeshSet, mesh: Tensor, kind: Tensor, features: Tensor) -> tuple[Tensor, Tensor]:
+    """Of contacts of meshes (K, 2): VERTEX, FACE or EDGE (K, 2), and the row (K, 2) among these of all meshes."""
+    what = torch.tensor(FEATURES, device=kind.device)[kind.long()]
+    return what, meshes.offsets.to(kind.device)[mesh, what] + features.long()
+
+
+def corner_rows(meshes: MeshSet, mesh: Tensor, what: Tensor, row: Tensor) -> Tensor:
+    """(K, 2, 3) int64: the corners of features of meshes (K, 2), see `Corners`, as rows of the vertices of all meshes.
+
+    Args:
+        what, row: see `feature_rows`.
+    """
+    _, faces, edges, *_ = meshes.tensors  # vertices of their mesh
+    of_face = faces[torch.where(what == FACE, row, 0)]
+    of_edge = edges[torch.where(what == EDGE, row, 0)][:, [[0], [1]], [[0, 1, 0], [0, 0, 1]]]
+    what, first = what[:, :, None], meshes.offsets[:, 0].to(mesh.device)[mesh][:, :, None]
+    return torch.where(what == VERTEX, row[:, :, None], first + torch.where(what == FACE, of_face, of_edge))
 
 
 def on_cpu(scene: Scene, motion: RigidMotion | VertexMotion) -> tuple[Scene, RigidMotion | VertexMotion]:
@@ -71,14 +91,11 @@ class Sites:
     point: Tensor
 
     def __post_init__(self) -> None:
-        meshes, device = self.scene.meshes, self.kind.device
+        meshes = self.scene.meshes
         self.mesh = self.scene.mesh_index[self.bodies].long()
-        #: (K, 2): what each feature is
-        self.counted = torch.tensor(FEATURES, device=device)[self.kind.long()]
-        offsets = meshes.offsets.to(device)
-        #: (K, 2) int64
-        self.feature = offsets[self.mesh, self.counted] + self.features.long()
-        self.first_vertex = offsets[:, 0][self.mesh]
+        #: (K, 2): what each feature is, and its row
+        self.counted, self.feature = feature_rows(meshes, self.mesh, self.kind, self.features)
+        self.first_vertex = meshes.offsets[:, 0].to(self.kind.device)[self.mesh]
         motion = self.motion
         if isinstance(motion, RigidMotion):
             # (K, 2, 4) unit quaternions
@@ -173,7 +190,7 @@ class Sites:
         kind, corners = self.counted[:, side], self.corners(side)
         at = [of_vertices(side, every, corner) for corner in corners.unbind(1)]
         on_face = at[0] + (u[:, None] * (at[1] - at[0]) + v[:, None] * (at[2] - at[0]))
-        on_edge = at[0] + self._part_of_edge(side)[:, None] * (at[1] - at[0])
+        on_edge = at[0] + self._part_of_edge(side)[:, None] * (at[1 + side] - at[0])
         return torch.where((kind == FACE)[:, None], on_face, torch.where((kind == EDGE)[:, None], on_edge, at[0]))
 
     def _part_of_edge(self, side: int) -> Tensor:
@@ -183,7 +200,7 @@ class Sites:
         rows = torch.nonzero(self.kind == (Kind.EF_AB, Kind.EF_BA)[side])[:, 0]
         if len(rows) == 0:
             return part
-        first, second, _ = self.corners(side)[rows].unbind(1)
+        first, second = self.corners(side)[rows][:, [0, 1 + side]].unbind(1)
         start = self.arms(side, rows, first)
         along = self.arms(side, rows, second) - start
         square = dot(along, along)
@@ -200,14 +217,12 @@ class Sites:
         return self.point - (start + self.toi[:, None] * change)
 
     def corners(self, side: int) -> Tensor:
-        """(K, 3): vertices of the features of one side; of an edge the second twice, of a vertex the same."""
-        kind, feature = self.counted[:, side], self.feature[:, side]
-        _, of_faces, of_edges, *_ = self.scene.meshes.tensors  # vertices of their mesh
-        first = self.first_vertex[:, side, None]
-        faces = first + of_faces[torch.where(kind == FACE, feature, 0)].long()
-        edges = first + of_edges[torch.where(kind == EDGE, feature, 0)].long()[:, [0, 1, 1]]
-        vertex = feature[:, None].expand(-1, 3)
-        return torch.where((kind == FACE)[:, None], faces, torch.where((kind == EDGE)[:, None], edges, vertex))
+        """(K, 3): vertices of the features of one side, see `corner_rows`."""
+        return self._corners[:, side]
+
+    @functools.cached_property
+    def _corners(self) -> Tensor:
+        return corner_rows(self.scene.meshes, self.mesh, self.counted, self.feature)
 
     def supports(self, side: int) -> tuple[Tensor, Tensor]:
         """What of the surface of one side the nearest point lies on: VERTEX, FACE or EDGE (K,), and its row (K,)."""
@@ -222,7 +237,7 @@ class Sites:
         which = torch.where(low_v, 0, torch.where(high, 1, 2))
         of_face = self.incidence.face_edges[torch.where(is_face, feature, 0)].gather(1, which[:, None])[:, 0]
         corner = torch.where(low_u & low_v, 0, torch.where(low_v, 1, 2))
-        corner = torch.where(is_edge, (at > 0.5).long(), corner)
+        corner = torch.where(is_edge, (1 + side) * (at > 0.5).long(), corner)
         at_corner = torch.where(is_edge, (at <= _ROUNDED) | (at >= 1.0 - _ROUNDED), borders >= 2)
         on_edge = torch.where(is_face, borders == 1, is_edge) & ~at_corner
         is_vertex = (kind == VERTEX) | at_corner

@@ -398,8 +398,7 @@ class MeshSet:
             raise ValueError("meshes: expected at least one Mesh")
         device = arguments.device(device)
         for index, mesh in enumerate(meshes):
-            if not isinstance(mesh, Mesh):
-                raise TypeError(f"meshes[{index}]: expected a pgccd.Mesh, got {type(mesh).__name__}")
+            arguments.instance(mesh, f"meshes[{index}]", Mesh)
         self.meshes = list(meshes)
         counts = torch.tensor(
             [[len(rows) for rows in (m.vertices, m.faces, m.edges, m._node_links, m._leaf_points)] for m in meshes]

@@ -27,6 +27,8 @@ class MovingColumns:
     # For a column, the argument that it is computed from; and such arguments, which errors name first.
     _sources: Mapping[str, str] = {}
     _given: Mapping[str, Tensor] = {}
+    # What a `state_dict` has besides the columns.
+    _options: tuple[str, ...] = ()
     # Whether a position was given in float32, which may have rounded it.
     _is_of_float32 = False
 
@@ -57,7 +59,7 @@ class MovingColumns:
 
     def _values(self) -> list[Tensor]:
         """The columns."""
-        raise NotImplementedError
+        return [getattr(self, name) for name in self._names]
 
     def columns(self) -> dict[str, Tensor]:
         """The current columns that detection reads.
@@ -123,7 +125,27 @@ class MovingColumns:
         Example:
             >>> torch.save(motion.state_dict(), "motion.pt")
         """
-        return self._detached().columns()
+        return {**self._detached().columns(), **{name: getattr(self, name) for name in self._options}}
+
+    @classmethod
+    def from_state_dict(cls: type[_Self], state: dict[str, Any]) -> _Self:
+        """The motion of a `state_dict`, bit by bit, on the device of its tensors.
+
+        Args:
+            state: from `state_dict`.
+
+        Raises:
+            TypeError, ValueError: naming the entry that is missing or invalid.
+
+        Example:
+            >>> again = pgccd.RigidMotion.from_state_dict(motion.state_dict())
+        """
+        arguments.entries(state, (*cls._names, *cls._options))
+        return cls._of_state(**state)
+
+    @classmethod
+    def _of_state(cls: type[_Self], **columns: Any) -> _Self:
+        return cls(**columns)
 
     def _check_early(self: _Self, origins: Mapping[str, Tensor] | None = None) -> _Self:
         """The motion, of which values are checked now on a CPU; a GPU is not waited for.

@@ -56,6 +56,7 @@ class RigidMotion(MovingColumns):
 
     _names = ("position_t0", "position_t1", "orientation_t0", "rotation")
     _checks = checks_of(_names)
+    _options = ("path",)
     position_t0: Tensor
     position_t1: Tensor
     orientation_t0: Tensor
@@ -209,32 +210,9 @@ class RigidMotion(MovingColumns):
         ends = {"position_t0": position_t0, "position_t1": position_t1}
         return cls._made_of(**ends, orientation_t0=orientation_t0, rotation=rotation, path=path)
 
-    def state_dict(self) -> dict[str, Any]:
-        """As of `MovingColumns`, with the kind of path.
-
-        Example:
-            >>> torch.save(motion.state_dict(), "motion.pt")
-        """
-        return {**super().state_dict(), "path": self.path}
-
     @classmethod
-    def from_state_dict(cls, state: dict[str, Any]) -> RigidMotion:
-        """The motion of a `state_dict`, bit by bit, on the device of its tensors.
-
-        Args:
-            state: from `state_dict`.
-
-        Raises:
-            TypeError, ValueError: naming the entry that is missing or invalid.
-
-        Example:
-            >>> again = pgccd.RigidMotion.from_state_dict(motion.state_dict())
-        """
-        arguments.entries(state, (*cls._names, "path"))
-        return cls.from_rotation(**state)
-
-    def _values(self) -> list[Tensor]:
-        return [self.position_t0, self.position_t1, self.orientation_t0, self.rotation]
+    def _of_state(cls, **columns: Any) -> RigidMotion:
+        return cls.from_rotation(**columns)
 
     @property
     def body_count(self) -> int:
@@ -346,26 +324,6 @@ class VertexMotion(MovingColumns):
         object.__setattr__(self, "x_t0", x_t0)
         object.__setattr__(self, "x_t1", _rows(x_t1, "x_t1", x_t0.shape[0], 3, x_t0.device))
         self._check_early()
-
-    def _values(self) -> list[Tensor]:
-        return [self.x_t0, self.x_t1]
-
-    @classmethod
-    def from_state_dict(cls, state: dict[str, Any]) -> VertexMotion:
-        """The motion of a `state_dict`, on the device of its tensors.
-
-        Args:
-            state: from `state_dict`.
-
-        Raises:
-            TypeError, ValueError: naming the entry that is missing or invalid.
-
-        Example:
-            >>> motion = pgccd.VertexMotion(cloth_t0, cloth_t1)
-            >>> again = pgccd.VertexMotion.from_state_dict(motion.state_dict())
-        """
-        arguments.entries(state, cls._names)
-        return cls(**state)
 
     @classmethod
     def _of_checked(cls, x_t0: Tensor, x_t1: Tensor) -> VertexMotion:

@@ -53,8 +53,7 @@ class Obstacles:
         if not meshes:
             raise ValueError("meshes: expected one mesh or more, got none: leave out the obstacles if there are none")
         for index, mesh in enumerate(meshes):
-            if not isinstance(mesh, Mesh):
-                raise TypeError(f"meshes[{index}]: expected a pgccd.Mesh, got {arguments.describe(mesh)}")
+            arguments.instance(mesh, f"meshes[{index}]", Mesh)
         self.meshes = list(meshes)
         cpu = torch.device("cpu")
         given = list(range(len(meshes))) if mesh_index is None else mesh_index

@@ -74,11 +74,8 @@ class MovingBodies:
         Raises:
             TypeError, ValueError: if scene and motion disagree in number or device, or a pose is invalid.
         """
-        if not isinstance(scene, Scene):
-            raise TypeError(f"scene: expected a pgccd.Scene, got {arguments.describe(scene)}")
-        if not isinstance(motion, (RigidMotion, VertexMotion)):
-            kinds = "a pgccd.RigidMotion or pgccd.VertexMotion"
-            raise TypeError(f"motion: expected {kinds}, got {arguments.describe(motion)}")
+        arguments.instance(scene, "scene", Scene)
+        arguments.instance(motion, "motion", RigidMotion, VertexMotion)
         columns = motion._plain()
         if scene.margin is not None or scene._fixed:
             scene._refuse()

@@ -9,7 +9,7 @@ from torch import Tensor
 from pgccd import arguments, ops
 from pgccd.runtime.sizes import COUNT_ROWS, BufferSizes
 from pgccd.search.bodies import MovingBodies
-from pgccd.search.checks import check_separation, operator_tolerance, require_bodies
+from pgccd.search.checks import check_separation, operator_tolerance
 
 __all__ = ["BroadPhase", "choose", "find_pairs", "grid", "lbvh", "sweep"]
 
@@ -121,7 +121,7 @@ def choose(bodies: MovingBodies, broad_phase: BroadPhase = "auto") -> BroadPhase
         'sweep'
     """
     arguments.choice(broad_phase, "broad_phase", BROAD_PHASES)
-    require_bodies(bodies)
+    arguments.instance(bodies, "bodies", MovingBodies)
     return chosen_for(bodies, broad_phase)
 
 
@@ -290,7 +290,7 @@ def _is_tested(bodies: MovingBodies, pairs: Tensor) -> Tensor:
 
 
 def _find(bodies: MovingBodies, chosen: str, min_separation: float, tolerance: float | None, axis: int = -1) -> Tensor:
-    require_bodies(bodies)
+    arguments.instance(bodies, "bodies", MovingBodies)
     bodies.check()
     return find_pairs_of_checked(bodies, min_separation, chosen, tolerance, axis)
 

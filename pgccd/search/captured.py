@@ -58,11 +58,8 @@ class _Captured(Generic[R, P]):
         options: Mapping[str, Any],
         capacity: Capacity | None,
     ) -> None:
-        if not isinstance(scene, Scene):
-            raise TypeError(f"scene: expected a pgccd.Scene, got {arguments.describe(scene)}")
-        if not isinstance(motion, (RigidMotion, VertexMotion)):
-            kinds = "a pgccd.RigidMotion or pgccd.VertexMotion"
-            raise TypeError(f"motion: expected {kinds}, got {arguments.describe(motion)}")
+        arguments.instance(scene, "scene", Scene)
+        arguments.instance(motion, "motion", RigidMotion, VertexMotion)
         if capacity is not None:
             sizes_of(capacity)
         self.scene, self._options = scene, options

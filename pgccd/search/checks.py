@@ -12,7 +12,6 @@ from pgccd.geometry.mesh import FEW_UNITS
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
-from pgccd.search.bodies import MovingBodies
 
 #: What to do about surfaces that intersect at t = 0: see `pgccd.detect`.
 Initial = Literal["report", "assume_free"]
@@ -20,12 +19,6 @@ INITIALS: tuple[str, ...] = get_args(Initial)
 
 #: The default tolerance, relative to the smaller SBV radius of a pair.
 RELATIVE_TOLERANCE = 1e-6
-
-
-def require_bodies(bodies: MovingBodies) -> None:
-    """Raises TypeError unless `bodies` is a MovingBodies."""
-    if not isinstance(bodies, MovingBodies):
-        raise TypeError(f"bodies: expected a pgccd.MovingBodies, got {arguments.describe(bodies)}")
 
 
 def warn_of_only_body(scene: Scene, motion: RigidMotion | VertexMotion | Trajectory) -> None:

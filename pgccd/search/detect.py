@@ -299,11 +299,8 @@ def _check(
         arguments.integer(memory_budget, "memory_budget", 1, "a number of bytes > 0")
     arguments.choice(broad_phase, "broad_phase", broad.BROAD_PHASES)
     sizes = None if capacity is None else sizes_of(capacity)
-    if not isinstance(scene, Scene):
-        raise TypeError(f"scene: expected a pgccd.Scene, got {arguments.describe(scene)}")
-    if not isinstance(motion, (RigidMotion, VertexMotion, Trajectory)):
-        kinds = "a pgccd.RigidMotion, VertexMotion or Trajectory"
-        raise TypeError(f"motion: expected {kinds}, got {arguments.describe(motion)}")
+    arguments.instance(scene, "scene", Scene)
+    arguments.instance(motion, "motion", RigidMotion, VertexMotion, Trajectory)
     if isinstance(motion, Trajectory) and capacity is not None:
         raise ValueError("capacity: cannot be given with a Trajectory, whose segments are found in one call")
     return sizes

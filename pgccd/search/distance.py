@@ -109,11 +109,8 @@ def distance(
         >>> near = pgccd.distance(scene, pgccd.RigidMotion.at_rest(x, q), cutoff=0.5)
         >>> near.pairs, near.lower, near.points
     """
-    if not isinstance(scene, Scene):
-        raise TypeError(f"scene: expected a pgccd.Scene, got {arguments.describe(scene)}")
-    if not isinstance(motion, (RigidMotion, VertexMotion, Trajectory)):
-        kinds = "a pgccd.RigidMotion, VertexMotion or Trajectory"
-        raise TypeError(f"motion: expected {kinds}, got {arguments.describe(motion)}")
+    arguments.instance(scene, "scene", Scene)
+    arguments.instance(motion, "motion", RigidMotion, VertexMotion, Trajectory)
     if cutoff is None and pairs is None:
         raise ValueError("cutoff: expected a length, unless pairs are given")
     limit = math.inf if cutoff is None else arguments.length(cutoff, "cutoff")

@@ -19,7 +19,6 @@ from pgccd.search.checks import (
     check_tensor,
     operator_tolerance,
     require,
-    require_bodies,
     separation_value,
 )
 
@@ -185,7 +184,7 @@ def find_contacts(
     Example:
         >>> rows = pgccd.narrow.find_contacts(bodies, pairs, candidates, report="all")
     """
-    require_bodies(bodies)
+    arguments.instance(bodies, "bodies", MovingBodies)
     pairs = check_pairs(pairs, bodies.scene, bodies.deforming)
     candidates = arguments.as_tensor(candidates, "candidates")
     bodies.check()

@@ -12,7 +12,6 @@ from pgccd.search.checks import (
     check_tensor,
     operator_tolerance,
     require,
-    require_bodies,
     tests_start,
 )
 
@@ -50,7 +49,7 @@ def find_candidates(
     Example:
         >>> candidates, node_tests = pgccd.traverse.find_candidates(bodies, pgccd.broad.sweep(bodies))
     """
-    require_bodies(bodies)
+    arguments.instance(bodies, "bodies", MovingBodies)
     pairs = check_pairs(pairs, bodies.scene, bodies.deforming)
     bodies.check()
     if horizon is not None:

@@ -171,8 +171,7 @@ def animation_of(
     Raises:
         TypeError, ValueError: naming the argument.
     """
-    if not isinstance(scene, Scene):
-        raise TypeError(f"scene: expected a pgccd.Scene, got {arguments.describe(scene)}")
+    arguments.instance(scene, "scene", Scene)
     steps = _steps(motion)
     if fraction is not None and isinstance(motion, Trajectory):
         raise ValueError("fraction: expected a motion of one step, or a list of steps, got a Trajectory")

@@ -139,8 +139,7 @@ def live(scene: Scene, *, host: str = "127.0.0.1", port: int = 8080) -> Live:
         >>> view.update(x, q, hits)
         >>> view.stop()
     """
-    if not isinstance(scene, Scene):
-        raise TypeError(f"scene: expected a pgccd.Scene, got {arguments.describe(scene)}")
+    arguments.instance(scene, "scene", Scene)
     try:
         import viser
     except ImportError as error:

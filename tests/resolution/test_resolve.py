@@ -234,7 +234,7 @@ WRONG: list[tuple[dict[str, Any], type[Exception], str]] = [
     ({"movable": [1, 0]}, TypeError, "movable: expected bool, got torch.int64"),
     ({"movable": True}, ValueError, "movable: expected bool"),
     ({"scene": None}, TypeError, "scene: expected a pgccd.Scene, got None"),
-    ({"motion": None}, TypeError, "motion: expected a pgccd.RigidMotion or pgccd.VertexMotion"),
+    ({"motion": None}, TypeError, "motion: expected a pgccd.RigidMotion or VertexMotion"),
     ({"min_separation": -1.0}, ValueError, "min_separation: expected a finite length"),
     ({"tolerance": -1.0}, ValueError, "tolerance: expected a finite length"),
     ({"initial": "free"}, ValueError, "initial: expected"),

@@ -99,7 +99,7 @@ def test_a_motion_that_kernels_write_to(device: torch.device) -> None:
 
 def test_bad_arguments(device: torch.device) -> None:
     scene, motions = crowd(device)
-    with pytest.raises(TypeError, match="^motion: expected a pgccd.RigidMotion or pgccd.VertexMotion"):
+    with pytest.raises(TypeError, match="^motion: expected a pgccd.RigidMotion or VertexMotion"):
         pgccd.CapturedDetection(scene, "there")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="^report"):
         pgccd.CapturedDetection(scene, motions[0], "some")  # type: ignore[arg-type]

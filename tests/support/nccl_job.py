@@ -29,9 +29,11 @@ def test_scenes(comm: Comm, device: torch.device) -> None:
         test_motions.deform(comm, report, device)
         test_motions.follow(comm, report, False, device)
     for partition in ("cells", "bisection"):
-        assert test_loop.follow(comm, "cost", partition, True, str(device), False)["replayed"] > 6
+        alone = test_loop.plain_loop(test_loop.STEPS)
+        assert test_loop.follow(comm, alone, "cost", partition, True, str(device), False)["replayed"] > 6
     for initial in ("report", "assume_free"):
-        assert test_captured_resolving.follow(comm, initial, True, str(device))["replayed"] > 6
+        alone = test_captured_resolving.plain_loop(test_captured_resolving.STEPS, initial)
+        assert test_captured_resolving.follow(comm, alone, initial, True, str(device))["replayed"] > 6
     with tempfile.TemporaryDirectory() as folder:
         expected, _ = test_loops.follow(Alone(), test_loops.PAGE, folder)
         found, replayed = test_loops.follow(comm, test_loops.PAGE, comm.broadcast_object(folder), True, "cuda")
@@ -41,14 +43,17 @@ def test_scenes(comm: Comm, device: torch.device) -> None:
 
 def test_robots(comm: Comm, device: torch.device, steps: int) -> None:
     """Worlds of robots."""
-    assert test_rank.follow_not_captured(comm, str(device))["replayed"] == 0
+    assert test_rank.follow_not_captured(comm, test_rank.single_run("random", 12), str(device))["replayed"] == 0
     # With cells assigned at random, and a rank whose capacity overflows now and then.
-    seen = test_rank.follow(comm, "random", "none", steps, True, True, str(device), True)
+    seen = test_rank.follow(
+        comm, test_rank.single_run("random", steps), "random", "none", True, True, str(device), True
+    )
     assert seen["contacts"] > 100 and seen["arrived"] > 20
     # With messages to all ranks, and between neighbours only, as for many ranks.
     for neighbours_above in (32, 0):
         comm.neighbours_above = neighbours_above
-        seen = test_rank.follow_bisected(comm, "skewed", "cost", steps, True, str(device))
+        alone = test_rank.single_run("skewed", steps)
+        seen = test_rank.follow_bisected(comm, alone, "skewed", "cost", True, str(device))
         assert seen["contacts"] > 100
 
 

@@ -22,6 +22,8 @@ SLOW = pytest.mark.slow
 ON_FOUR = [1, pytest.param(2, marks=SLOW), pytest.param(3, marks=SLOW), 4]
 ON_THREE = [1, pytest.param(2, marks=SLOW), 3, pytest.param(4, marks=SLOW)]
 on_three = pytest.mark.parametrize("world", ON_THREE, indirect=True)
+#: Where another test runs one rank in this process.
+on_several = pytest.mark.parametrize("world", ON_FOUR[1:], indirect=True)
 MOST_RANKS = 4
 # A job that takes longer hangs.
 _SECONDS = 120

@@ -60,9 +60,7 @@ def motion_facts(motion: Any, path: str, meshes: MeshSet, mesh_index: Tensor) ->
     Raises:
         TypeError, ValueError: it is no motion, or that of other bodies or vertices, or along another path.
     """
-    if not isinstance(motion, (RigidMotion, VertexMotion, Trajectory)):
-        kinds = "a pgccd.RigidMotion, VertexMotion or Trajectory"
-        raise TypeError(f"motion: expected {kinds}, got {arguments.describe(motion)}")
+    arguments.instance(motion, "motion", RigidMotion, VertexMotion, Trajectory)
     motion._refuse_gradient()
     facts: dict[str, Any] = {"motion": type(motion).__name__}
     deforms = isinstance(motion, VertexMotion)

@@ -182,32 +182,33 @@ def test_opcheck() -> None:
         ops.peer_minimum(*rows, found, None, *peer._where)
 
 
-def follow_simulation(comm: Comm, neighbours_above: int) -> int:
+def follow_simulation(comm: Comm, alone: test_rank.SingleRun, neighbours_above: int) -> int:
     comm.neighbours_above = neighbours_above
     comm.peer_messages = messages = OverConnection(comm)
-    seen = test_rank.follow_replayed(comm, "random", "cost", 24, False)
+    seen = test_rank.follow_replayed(comm, alone, "random", "cost", False)
     assert seen["replayed"] > 3 and seen["skipped"] > 3
     return messages.calls
 
 
-def follow_world(comm: Comm) -> int:
+def follow_world(comm: Comm, alone: test_loop.PlainLoop) -> int:
     comm.peer_messages = messages = OverConnection(comm)
-    seen = test_loop.follow(comm, "cost", "bisection", True, "cpu", False)
+    seen = test_loop.follow(comm, alone, "cost", "bisection", True, "cpu", False)
     assert seen["replayed"] > 3
     return messages.calls
 
 
-def follow_resolved_world(comm: Comm) -> int:
+def follow_resolved_world(comm: Comm, alone: test_captured_resolving.PlainLoop) -> int:
     comm.peer_messages = messages = OverConnection(comm)
-    assert test_captured_resolving.follow(comm, "report", True, "cpu")["replayed"] > 3
+    assert test_captured_resolving.follow(comm, alone, "report", True, "cpu")["replayed"] > 3
     return messages.calls
 
 
 @pytest.mark.parametrize("neighbours_above", [32, 0])
 def test_steps_with_messages_of_peers(ranks: RankPool, neighbours_above: int) -> None:
-    assert min(ranks.run(3, follow_simulation, neighbours_above)) > 50
+    assert min(ranks.run(3, follow_simulation, test_rank.single_run("random", test_rank.STEPS), neighbours_above)) > 50
 
 
 def test_steps_of_a_world_with_messages_of_peers(ranks: RankPool) -> None:
-    assert min(ranks.run(3, follow_world)) > 20
-    assert min(ranks.run(3, follow_resolved_world)) > 100
+    assert min(ranks.run(3, follow_world, test_loop.plain_loop(test_loop.STEPS))) > 20
+    alone = test_captured_resolving.plain_loop(test_captured_resolving.STEPS, "report")
+    assert min(ranks.run(3, follow_resolved_world, alone)) > 100

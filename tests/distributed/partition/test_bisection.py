@@ -165,15 +165,15 @@ def test_shares_that_are_not_equal() -> None:
     ],
 )
 def test_the_simulation_has_the_same_bits(world: World, name: str, policy: str) -> None:
-    seen = world(test_rank.follow_bisected, name, policy, 24)
+    seen = world(test_rank.follow_bisected, test_rank.single_run(name, test_rank.STEPS), name, policy)
     assert seen[0]["contacts"] > 100
     if len(seen) > 1 and name == "skewed":
         assert seen[0]["moved cells"] > 0
 
 
 def test_replays_have_the_same_bits(ranks: World) -> None:
-    run = test_rank.follow_bisected
-    assert ranks.run(3, run, "skewed", "cost", 24, True)[0]["contacts"] > 100  # type: ignore[attr-defined]
+    run, alone = test_rank.follow_bisected, test_rank.single_run("skewed", test_rank.STEPS)
+    assert ranks.run(3, run, alone, "skewed", "cost", True)[0]["contacts"] > 100  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("report", ["first", "all"])

@@ -5,7 +5,7 @@ often these change.
 from __future__ import annotations
 
 import functools
-from typing import Any
+from typing import Any, NamedTuple
 from unittest import mock
 
 import pytest
@@ -15,6 +15,7 @@ from support.ranks import World, on_three
 from support.same_bits import assert_same
 from support.steps import step_of
 
+import pgccd
 from pgccd import sim
 from pgccd.distributed import BalanceOptions, Bisection, Cells, Comm, RankOptions
 from pgccd.distributed.halo import halo_sizes
@@ -27,6 +28,7 @@ from pgccd.runtime.sizes import BufferSizes, Capacity
 from pgccd.sim import Simulation, Step, starting_share
 from pgccd.sim.gathering import gather_sample
 
+STEPS = 16
 TIMES = ("seconds", "stage_seconds", "ranks")
 # Fast robots in a small world, so that few steps suffice.
 WORLDS = {
@@ -35,9 +37,21 @@ WORLDS = {
 }
 
 
+class SingleRun(NamedTuple):
+    """The records of a run of one process, and of its last step what ranks compare. Tests give it to ranks, which would
+    each compute it again.
+    """
+
+    records: list[dict[str, Any]]
+    before: sim.RobotState
+    after: sim.RobotState
+    contacts: pgccd.Contacts
+    fraction: torch.Tensor
+
+
 @functools.cache
-def single_run(name: str, steps: int) -> tuple[list[dict[str, Any]], sim.Step]:
-    """The run of a single process."""
+def single_run(name: str, steps: int) -> SingleRun:
+    """Of this process."""
     model = sim.Model(sim.ModelConfig(**WORLDS[name]))
     state = model.start()
     records = []
@@ -45,7 +59,7 @@ def single_run(name: str, steps: int) -> tuple[list[dict[str, Any]], sim.Step]:
         step = step_of(model, state, index)
         state = step.after
         records.append(without_times(step.record))
-    return records, step
+    return SingleRun(records, step.before, step.after, step.contacts, step.resolution.fraction)
 
 
 def without_times(record: dict[str, Any]) -> dict[str, Any]:
@@ -84,9 +98,9 @@ class Cramped(RoundPlan):
 
 def follow(
     comm: Comm,
+    alone: SingleRun,
     name: str,
     policy: str,
-    steps: int,
     random_owners: bool,
     overlap: bool,
     device: str = "cpu",
@@ -97,13 +111,13 @@ def follow(
     """Compares the log of every step and the columns of the last step with one process. With `graph`, steps are
     replayed, and some ranks overflow in some steps.
     """
-    records, last = single_run(name, steps)
+    records, steps = alone.records, len(alone.records)
     simulation = make_simulation(comm, name, policy, overlap, device, graph, kind, axes)
     if graph and comm.rank == comm.size - 1:
         simulation._plan = Cramped()
     generator = torch.Generator().manual_seed(17)
     seen = dict.fromkeys(("moved cells", "arrived", "contacts", "away", "replayed"), 0)
-    run = 12 if graph else 5  # every run-th step is eager, with access to its details
+    run = STEPS // 2 if graph else 5  # every run-th step is eager, with access to its details
     for index in range(steps):
         if random_owners and index % run == 2 and not simulation.is_ahead:
             # Assign random owners. Until the next migration, ranks hold robots they do not own.
@@ -134,17 +148,17 @@ def follow(
     assert isinstance(made, Step)
     _, [step] = gather_sample(comm, simulation.state, [made])
     if comm.rank == 0:
-        for column, expected in last.after.columns.items():
+        for column, expected in alone.after.columns.items():
             assert torch.equal(step.after.columns[column].cpu(), expected), column
-        for column, expected in last.before.columns.items():
+        for column, expected in alone.before.columns.items():
             assert torch.equal(step.before.columns[column].cpu(), expected), column
-        assert_same(step.contacts, last.contacts)
-        assert torch.equal(step.resolution.fraction.cpu(), last.resolution.fraction)
+        assert_same(step.contacts, alone.contacts)
+        assert torch.equal(step.resolution.fraction.cpu(), alone.fraction)
     return seen
 
 
 def follow_replayed(
-    comm: Comm, name: str, policy: str, steps: int, random_owners: bool, padding: str = "usual"
+    comm: Comm, alone: SingleRun, name: str, policy: str, random_owners: bool, padding: str = "usual"
 ) -> dict[str, int]:
     """The same with replays of a graph and messages of fixed size, as on GPUs."""
     with graphs_on("cpu") as stack:
@@ -154,12 +168,12 @@ def follow_replayed(
             stack.enter_context(mock.patch.object(halo_sizes, "padded_count", lambda count: count))
             stack.enter_context(mock.patch.object(halo_sizes, "_NEAR_SLACK", 1))
             stack.enter_context(mock.patch.object(rank_steps, "_OWN_MORE", 0))
-        seen = follow(comm, name, policy, steps, random_owners, True, graph=True)
+        seen = follow(comm, alone, name, policy, random_owners, True, graph=True)
         assert stack.rounds is not None
         return seen | {"skipped": stack.rounds.skipped}
 
 
-def follow_not_captured(comm: Comm, device: str = "cpu") -> dict[str, int]:
+def follow_not_captured(comm: Comm, alone: SingleRun, device: str = "cpu") -> dict[str, int]:
     """The same where the last rank cannot capture a graph: all ranks go on without."""
     with graphs_on(device) as stack:
         capture = transaction.capture
@@ -173,7 +187,7 @@ def follow_not_captured(comm: Comm, device: str = "cpu") -> dict[str, int]:
         stack.enter_context(mock.patch.object(transaction, "capture", fail))
         why = "no memory" if comm.rank == comm.size - 1 else "another rank"
         with pytest.warns(UserWarning, match=f"without a CUDA graph: {why}"):
-            return follow(comm, "random", "none", 16, False, True, device, graph=True)
+            return follow(comm, alone, "random", "none", False, True, device, graph=True)
 
 
 def fail_before_messages(comm: Comm) -> str:
@@ -196,7 +210,7 @@ def fail_before_messages(comm: Comm) -> str:
     return ""
 
 
-def follow_neighbours(comm: Comm, name: str, policy: str, steps: int, graph: bool, kind: str) -> int:
+def follow_neighbours(comm: Comm, alone: SingleRun, name: str, policy: str, graph: bool, kind: str) -> int:
     """With messages between neighbours only, as for many ranks. If no policy assigns the cells, no ranks are neighbours
     at first. Returns the number of times that the neighbours of ranks were extended.
     """
@@ -217,18 +231,18 @@ def follow_neighbours(comm: Comm, name: str, policy: str, steps: int, graph: boo
             for partition in (Cells, Bisection):
                 stack.enter_context(mock.patch.object(partition, "neighbours", lambda _, rank: [rank]))
         axes, random_owners = 1 if kind == "cells" else 3, kind == "cells" and policy == "none"
-        seen = follow(comm, name, policy, steps, random_owners, True, "cpu", graph, kind, axes)
+        seen = follow(comm, alone, name, policy, random_owners, True, "cpu", graph, kind, axes)
         assert seen["contacts"] > 100 and (seen["replayed"] > 3) == graph
     return extended
 
 
 def follow_bisected(
-    comm: Comm, name: str, policy: str, steps: int, replayed: bool = False, device: str = "cpu"
+    comm: Comm, alone: SingleRun, name: str, policy: str, replayed: bool = False, device: str = "cpu"
 ) -> dict[str, int]:
     """The same with bisection, as replays or not."""
     with graphs_on(device if replayed else "none") as stack:
         stack.enter_context(mock.patch.object(rank_steps, "_MOST_AWAY", 0.5))
-        return follow(comm, name, policy, steps, False, True, device, replayed, "bisection")
+        return follow(comm, alone, name, policy, False, True, device, replayed, "bisection")
 
 
 @on_three
@@ -243,7 +257,7 @@ def follow_bisected(
     ids=["cost", "one cell", "measured", "random owners"],
 )
 def test_same_bits_as_one_process(world: World, name: str, policy: str, random_owners: bool, overlap: bool) -> None:
-    seen = world(follow, name, policy, 24, random_owners, overlap)
+    seen = world(follow, single_run(name, STEPS), name, policy, random_owners, overlap)
     assert seen[0]["contacts"] > 100
     if len(seen) > 1:
         assert seen[0]["arrived"] > 20
@@ -257,8 +271,9 @@ def test_same_bits_as_one_process(world: World, name: str, policy: str, random_o
 def test_same_bits_as_replays(world: World, name: str, policy: str, padding: str) -> None:
     """Steps in which one rank needs more rounds or capacity are repeated by all ranks."""
     # Without padding nearly every step is repeated.
-    seen = world(follow_replayed, name, policy, 24 if padding == "usual" else 16, policy == "none", padding)
-    assert seen[0]["replayed"] > 3 or (padding == "none" and len(seen) > 1)
+    alone = single_run(name, STEPS if padding == "usual" else 12)
+    seen = world(follow_replayed, alone, name, policy, policy == "none", padding)
+    assert seen[0]["replayed"] > 2 or (padding == "none" and len(seen) > 1)
     # Without messages of peers a rank does not know whether others need a round.
     assert all((rank["skipped"] > 0) == (len(seen) == 1) for rank in seen)
     if len(seen) > 1 and padding == "usual":
@@ -267,7 +282,7 @@ def test_same_bits_as_replays(world: World, name: str, policy: str, padding: str
 
 
 def test_a_rank_that_cannot_capture_a_graph(ranks: World) -> None:
-    seen = ranks.run(3, follow_not_captured)
+    seen = ranks.run(3, follow_not_captured, single_run("random", 12))
     assert seen[0]["replayed"] == 0 and seen[0]["contacts"] > 20
 
 
@@ -280,7 +295,7 @@ def test_a_rank_that_fails_before_its_messages_ends_the_step(ranks: World) -> No
 @pytest.mark.cuda
 @pytest.mark.parametrize(("name", "policy"), [("random", "none"), ("random", "cost"), ("skewed", "one-cell")])
 def test_same_bits_on_a_gpu_that_ranks_share(world: World, name: str, policy: str) -> None:
-    world(follow, name, policy, 24, policy == "none", True, "cuda")
+    world(follow, single_run(name, STEPS), name, policy, policy == "none", True, "cuda")
 
 
 @pytest.mark.slow
@@ -289,9 +304,9 @@ def test_same_bits_on_a_gpu_that_ranks_share(world: World, name: str, policy: st
 def test_same_bits_for_two_hundred_steps(world: World, name: str, policy: str) -> None:
     """If no policy assigns the cells, they are assigned at random; and graphs are used as on GPUs."""
     if policy == "none":
-        world(follow_replayed, name, policy, 200, True)
+        world(follow_replayed, single_run(name, 200), name, policy, True)
     else:
-        world(follow, name, policy, 200, False, True)
+        world(follow, single_run(name, 200), name, policy, False, True)
 
 
 def lose_one(comm: Comm) -> None:
@@ -339,5 +354,5 @@ def test_balance_spreads_what_one_rank_had(ranks: World) -> None:
 def test_same_bits_with_neighbours_only(
     ranks: World, name: str, policy: str, kind: str, graph: bool, size: int
 ) -> None:
-    extended = ranks.run(size, follow_neighbours, name, policy, 24, graph, kind)
+    extended = ranks.run(size, follow_neighbours, single_run(name, STEPS), name, policy, graph, kind)
     assert extended[0] > 0 or policy != "none"

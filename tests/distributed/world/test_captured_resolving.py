@@ -9,7 +9,7 @@ from unittest import mock
 import pytest
 import torch
 from support.graphs import graphs_on
-from support.ranks import RankPool
+from support.ranks import RankPool, on_several
 from support.ranks import World as Ranks
 from torch import Tensor
 
@@ -26,7 +26,7 @@ from pgccd.resolution import listed
 from pgccd.resolution.counts import SearchCounts
 from pgccd.resolution.round_plan import RecentRounds
 
-SIDE, STEPS, SPACING = 5, 24, 1.7
+SIDE, STEPS, SPACING = 5, 16, 1.7
 BOX = SIDE * SPACING
 COUNT = SIDE**3
 EXCLUDED = [[3, 1], [7, 100]]
@@ -104,8 +104,12 @@ def scene_alone() -> pgccd.Scene:
     )
 
 
+#: The final columns, and of each step two numbers. Tests give it to ranks, which would each compute it again.
+PlainLoop = tuple[dict[str, Tensor], list[tuple[int, int]]]
+
+
 @functools.cache
-def plain_loop(steps: int, initial: str) -> tuple[dict[str, Tensor], list[tuple[int, int]]]:
+def plain_loop(steps: int, initial: str) -> PlainLoop:
     """In one process, by `pgccd.resolve`: the final columns, and contacts and rounds of each step."""
     now, scene, counts = dict(start()), scene_alone(), []
     for step in range(steps):
@@ -143,8 +147,10 @@ def require_columns(world: World, expected: dict[str, Tensor]) -> None:
         assert torch.equal(column.cpu(), expected[name][world.id.cpu()]), name
 
 
-def follow(comm: Comm, initial: str, graph: bool, device: str, cramped: bool = False) -> dict[str, int]:
-    expected, counts = plain_loop(STEPS, initial)
+def follow(
+    comm: Comm, alone: PlainLoop, initial: str, graph: bool, device: str, cramped: bool = False
+) -> dict[str, int]:
+    expected, counts = alone
     with graphs_on(device if graph else "none") as stack:
         if cramped:  # one more body overflows
             stack.enter_context(mock.patch.object(halo_sizes, "padded_count", lambda count: count))
@@ -153,7 +159,7 @@ def follow(comm: Comm, initial: str, graph: bool, device: str, cramped: bool = F
         world = spread(comm, torch.device(device), initial)
         loop = CapturedWorld(world, motion, response, graph, resolve=True, movable=movable)
         steps: list[WorldStep] = []
-        for part in (STEPS - 7, 1, 6):
+        for part in (len(counts) - 7, 1, 6):
             steps += loop.run(part)
             assert not steps[-1].replayed and world.steps_made == len(steps)
         assert [(step.contacts, step.rounds) for step in steps] == counts
@@ -161,36 +167,37 @@ def follow(comm: Comm, initial: str, graph: bool, device: str, cramped: bool = F
     return {"replayed": sum(step.replayed for step in steps), "owned": len(world.id)}
 
 
+@on_several
 @pytest.mark.parametrize(("initial", "cramped"), [("report", False), ("assume_free", False), ("report", True)])
 def test_same_bits_as_resolve_in_one_process(world: Ranks, initial: str, cramped: bool) -> None:
-    seen = world(follow, initial, True, "cpu", cramped)
+    seen = world(follow, plain_loop(STEPS, initial), initial, True, "cpu", cramped)
     assert sum(rank["owned"] for rank in seen) == COUNT
     assert cramped or seen[0]["replayed"] > STEPS // 2
     contacts, rounds = zip(*plain_loop(STEPS, initial)[1], strict=True)
     assert sum(contacts) > 200 and max(rounds) >= 3 and min(rounds) < max(rounds)
 
 
-def ahead(comm: Comm) -> int:
+def ahead(comm: Comm, alone: PlainLoop) -> int:
     """As on GPUs, ghosts are sent in messages of fixed capacities, which have padding."""
     with mock.patch("pgccd.distributed.steps.rank.sends_ahead", lambda comm, *_: comm.size > 1):
-        return follow(comm, "report", False, "cpu")["replayed"]
+        return follow(comm, alone, "report", False, "cpu")["replayed"]
 
 
 def test_without_graphs(world: Ranks) -> None:
-    assert world(follow, "report", False, "cpu")[0]["replayed"] == 0
-    assert not any(world(ahead))
+    expected = plain_loop(STEPS, "report")
+    assert world(follow, expected, "report", False, "cpu")[0]["replayed"] == 0
+    assert not any(world(ahead, expected))
 
 
 @pytest.mark.parametrize("initial", ["report", "assume_free"])
 def test_on_one_device(device: torch.device, initial: str) -> None:
-    assert follow(Alone(), initial, True, str(device))["replayed"] > STEPS // 2
+    assert follow(Alone(), plain_loop(STEPS, initial), initial, True, str(device))["replayed"] > STEPS // 2
 
 
-def lose_contacts(comm: Comm, device: str) -> tuple[list[bool], bool]:
+def lose_contacts(comm: Comm, alone: PlainLoop, device: str) -> tuple[list[bool], bool]:
     """The last rank loses contacts in a replay of step 9: whether this one's bodies stood still in the attempts at it,
     and whether it was repeated.
     """
-    expected, _ = plain_loop(STEPS, "report")
     seen: list[bool] = []
     now = torch.zeros(1, dtype=torch.int64, device=device)
     loses = comm.rank == comm.size - 1
@@ -213,23 +220,23 @@ def lose_contacts(comm: Comm, device: str) -> tuple[list[bool], bool]:
     with graphs_on(device) as stack:
         stack.enter_context(mock.patch.object(world_graphs, "SearchCounts", Losing))
         world = spread(comm, torch.device(device), "report")
-        steps = CapturedWorld(world, noted, answer, True, resolve=True, movable=movable).run(STEPS)
-        require_columns(world, expected)
+        steps = CapturedWorld(world, noted, answer, True, resolve=True, movable=movable).run(len(alone[1]))
+        require_columns(world, alone[0])
     return seen, [step.replayed for step in steps].index(False, 1) == 9
 
 
 def test_nothing_moves_in_a_step_that_is_incomplete(device: torch.device) -> None:
     """Contacts are lost in a replay: the response reads that no body moves, and the step is repeated."""
-    seen, is_repeated = lose_contacts(Alone(), str(device))
+    seen, is_repeated = lose_contacts(Alone(), plain_loop(STEPS, "report"), str(device))
     assert is_repeated and (device.type != "cpu" or (seen[0] and not seen[-1]))
 
 
 def test_nothing_moves_if_another_rank_is_incomplete(world: Ranks) -> None:
-    for seen, _ in world(lose_contacts, "cpu"):
+    for seen, _ in world(lose_contacts, plain_loop(STEPS, "report"), "cpu"):
         assert seen[0] and not seen[-1]
 
 
-def send_one_row(comm: Comm) -> int:
+def send_one_row(comm: Comm, alone: PlainLoop) -> int:
     """Replays have room for one body in common with each rank; the number of steps that were repeated."""
     start_exchange = HeldExchange.start
 
@@ -239,22 +246,22 @@ def send_one_row(comm: Comm) -> int:
 
     with graphs_on("cpu"), mock.patch.object(HeldExchange, "start", cramped):
         world = spread(comm, torch.device("cpu"), "report")
-        steps = CapturedWorld(world, motion, response, True, resolve=True, movable=movable).run(STEPS)
-        require_columns(world, plain_loop(STEPS, "report")[0])
+        steps = CapturedWorld(world, motion, response, True, resolve=True, movable=movable).run(len(alone[1]))
+        require_columns(world, alone[0])
     return sum(not step.replayed for step in steps)
 
 
 def test_bodies_in_common_that_do_not_fit(ranks: RankPool) -> None:
-    assert ranks.run(3, send_one_row)[0] > 1
+    assert ranks.run(3, send_one_row, plain_loop(9, "report"))[0] > 1
 
 
 def test_more_rounds_than_were_captured(device: torch.device) -> None:
     """A step that needs more rounds than the graph has is repeated."""
-    expected, counts = plain_loop(STEPS, "report")
+    expected, counts = plain_loop(24, "report")  # some of which need two rounds
     with graphs_on(device) as stack:
         stack.enter_context(mock.patch.object(RecentRounds, "to_capture", 2))
         world = spread(Alone(), device, "report")
-        steps = CapturedWorld(world, motion, response, True, resolve=True, movable=movable).run(STEPS)
+        steps = CapturedWorld(world, motion, response, True, resolve=True, movable=movable).run(len(counts))
         require_columns(world, expected)
     for step, (_, rounds) in zip(steps[1:-1], counts[1:-1], strict=True):
         assert step.replayed <= (rounds <= 2) and step.rounds == rounds
@@ -326,8 +333,8 @@ def steered_loop(steps: int) -> tuple[dict[str, Tensor], list[list[int]]]:
     return now, tallied
 
 
-def steer(comm: Comm, graph: bool) -> list[bool]:
-    expected, tallied = steered_loop(14)
+def steer(comm: Comm, alone: tuple[dict[str, Tensor], list[list[int]]], graph: bool) -> list[bool]:
+    expected, tallied = alone
     with graphs_on("cpu" if graph else "none"):
         world = spread(comm, torch.device("cpu"), "report")
         steps = CapturedWorld(world, planned, response, graph, resolve=True, tally=tally).run(14)
@@ -337,8 +344,8 @@ def steer(comm: Comm, graph: bool) -> list[bool]:
 
 
 def test_payload_of_the_motion_and_tallies(world: Ranks) -> None:
-    assert not any(world(steer, False)[0])
-    assert sum(world(steer, True)[0]) > 6
+    assert not any(world(steer, steered_loop(14), False)[0])
+    assert sum(world(steer, steered_loop(14), True)[0]) > 6
 
 
 def test_what_functions_of_a_step_return_is_checked() -> None:
