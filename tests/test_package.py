@@ -69,9 +69,9 @@ calls = {{
 heavy = {{"sympy", "mpmath", "scipy", "trimesh", "matplotlib", "networkx", "torch._dynamo", "torch._inductor"}}
 loaded = {{}}
 for name, call in calls.items():
-    before = set(sys.modules)
+    known = set(sys.modules)
     call()
-    new = set(sys.modules) - before
+    new = set(sys.modules) - known
     loaded[name] = [len(new), sorted(heavy & {{".".join(each.split(".")[:n]) for each in new for n in (1, 2)}})]
 print(json.dumps([before, seen, answer, loaded]))
 """

@@ -21,6 +21,7 @@ from .interval import Interval, cross, dot, norm, up
 Taylor = tuple[Interval, Interval, Interval]
 NO, YES, CLOSE = 0, 1, 2
 NAMES = ("no", "yes", "too close to call")
+_AT_ONCE = 600
 MOST_INTERVALS = 256  # kept per query, the earliest ones; a query that needs more can no longer be answered "no"
 
 
@@ -146,10 +147,20 @@ def _midpoints(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return middle, up(np.maximum(b - middle, middle - a))
 
 
-def _split(query: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    # Not in the middle: a touch at t = 1/2, for example, would always be at an end, where no sign is certain.
-    at = a + 0.4765 * (b - a)
-    return np.repeat(query, 2), np.stack([a, at], axis=1).ravel(), np.stack([at, b], axis=1).ravel()
+def _split(
+    query: np.ndarray, a: np.ndarray, b: np.ndarray, levels: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+    """Halves intervals, few ones several times, at most `levels` times, since numpy takes as long for few as for some
+    hundred; and says how often.
+    """
+    times = 1
+    while times < min(levels, 4) and len(query) << (times + 1) <= _AT_ONCE:
+        times += 1
+    for _ in range(times):
+        # Not in the middle: a touch at t = 1/2, for example, would always be at an end, where no sign is certain.
+        at = a + 0.4765 * (b - a)
+        query, a, b = np.repeat(query, 2), np.stack([a, at], axis=1).ravel(), np.stack([at, b], axis=1).ravel()
+    return query, a, b, times
 
 
 def _rank(query: np.ndarray) -> np.ndarray:
@@ -166,7 +177,8 @@ def first_within(paths: Paths, separation: float, width: float = 1e-9, levels: i
     cut_at = np.full(count, np.inf)  # start of the first interval that was dropped without an answer
     settled = np.zeros(count, dtype=bool)  # and so removed from the list
     query, a, b = np.arange(count), np.zeros(count), np.ones(count)
-    for level in range(levels + 1):
+    level = 0
+    while True:
         middle, half = _midpoints(a, b)
         taylor = paths.derivatives(query, middle)
         keep = ~(lower_bound(taylor, paths.jerk[query], half, paths.is_face) > separation)
@@ -192,7 +204,8 @@ def first_within(paths: Paths, separation: float, width: float = 1e-9, levels: i
         query, a, b = query[keep], a[keep], b[keep]
         if not len(query) or level == levels:
             break
-        query, a, b = _split(query, a, b)
+        query, a, b, times = _split(query, a, b, levels - level)
+        level += times
     return Decisions(status, np.where(status == NO, np.inf, lower), upper)
 
 
@@ -215,7 +228,8 @@ def least_distance(
     goal = max(width, 2.0**-46) * scale  # rounding allows no better
     lower, settled = np.zeros(count), np.zeros(count, dtype=bool)
     dropped = np.full(count, np.inf)  # least bound of the intervals dropped for their number
-    for level in range(levels + 1):
+    level = 0
+    while True:
         middle, half = _midpoints(a, b)
         taylor = paths.derivatives(query, middle)
         bound = np.maximum(lower_bound(taylor, paths.jerk[query], half, paths.is_face), 0.0)
@@ -236,5 +250,6 @@ def least_distance(
         excess = order[_rank(query[order]) >= MOST_INTERVALS]
         np.minimum.at(dropped, query[excess], bound[excess])
         query, a, b = (np.delete(y, excess) for y in (query, a, b))
-        query, a, b = _split(query, a, b)
+        query, a, b, times = _split(query, a, b, levels - level)
+        level += times
     return lower, best, at
