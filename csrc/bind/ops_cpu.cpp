@@ -1,4 +1,5 @@
 // The operators on the CPU.
+#include "bind/contact_ops.h"
 #include "bind/cpu_session.h"
 #include "bind/detect_ops.h"
 #include "bind/distance_ops.h"
@@ -12,6 +13,7 @@
 namespace pgccd::bind {
 
 STABLE_TORCH_LIBRARY_IMPL(pgccd, CPU, library) {
+  register_contact_ops<CpuSession>(library);
   register_detect_ops<CpuSession>(library);
   register_distance_ops<CpuSession>(library);
   register_padded_ops<CpuSession>(library);

@@ -151,6 +151,19 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
       "Tensor by_destination, Tensor counts)");
   library.def("leaving_and_invalid(Tensor position, Tensor? id, float[] frame, Tensor owner, int rank) -> Tensor");
 
+  // What follows from contacts = [bodies (K, 2) i64, kind i8, features (K, 2) i32, coordinates (K, 2), toi, point (K,
+  // 3), normal (K, 3)] of bodies = [mesh_index i32, position_t0, position_t1, orientation, rotation], or [mesh_index,
+  // x_t0, x_t1, vertex_begin i64]. incidence, most: see pgccd/geometry/incidence.py.
+  library.def(
+      "closing_rates(Tensor[] mesh_set, Tensor[] bodies, bool linear_path, Tensor[] incidence, int most, "
+      "Tensor[] contacts) -> (Tensor rate, Tensor is_reversed, Tensor away, Tensor size)");
+  library.def(
+      "surface_normals(Tensor[] mesh_set, Tensor[] bodies, bool linear_path, Tensor[] incidence, int most, "
+      "Tensor[] contacts) -> Tensor");
+  library.def(
+      "certainly_recede(Tensor[] mesh_set, Tensor[] bodies, bool linear_path, Tensor[] incidence, int most, "
+      "Tensor[] contacts, Tensor status, Tensor slack) -> Tensor");
+
   // Rounds in which collisions are resolved.
   library.def(
       "resolve_slow_down(Tensor(a!) first, Tensor(b!) fraction, Tensor(c!) changed, Tensor(d!) changes, "

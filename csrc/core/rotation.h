@@ -74,6 +74,18 @@ PGCCD_HD Vec3<T> rotate(const Spin& spin, const SineCosine& at, Vec3<T> v) {
   return v + (T(at.sine) * k + T(at.versine) * cross(axis, k));
 }
 
+// Unit quaternion at time t of a body that turns by a rotation vector per step; NaN for an angle without proven bounds.
+PGCCD_HD Quaternion orientation_at(Quaternion start, Vec3<double> rotation, double t) {
+  const Spin spin = make_spin(rotation);
+  const double half_angle = 0.5 * (spin.angle * t);
+  Quaternion turn{NAN, {NAN, NAN, NAN}};  // of invalid input, reported by checks
+  if (half_angle <= kLargestAngle) {
+    const SineCosine half = sine_cosine(half_angle);
+    turn = {half.cosine, half.sine * spin.axis};
+  }
+  return turn * normalized(start);
+}
+
 // exp(t [w]x) R0
 PGCCD_HD Mat3<double> spun(const Spin& spin, const Mat3<double>& r0, double t) {
   const SineCosine at = sine_cosine(spin.angle * t);

@@ -10,24 +10,24 @@ from typing import Any, TypeAlias
 import torch
 from torch import Tensor
 
-from pgccd import arguments
+from pgccd import arguments, ops
 from pgccd.auditing.results import Audit, Passages, Touching
 from pgccd.auditing.runs import Runs
 from pgccd.auditing.windows import Frame, windows
 from pgccd.contacts.by_body import SceneBodies
 from pgccd.contacts.contacts import Contacts
-from pgccd.contacts.sites import Sites
+from pgccd.contacts.operands import operands
 from pgccd.contacts.trajectories import time_along
 from pgccd.geometry.scene import Scene
+from pgccd.motion.of_scene import repeated
 from pgccd.motion.paths import PATHS, PathKind, RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
-from pgccd.motion.vectors import dot
 from pgccd.search import broad
 from pgccd.search.checks import warn_of_only_body
 from pgccd.search.detect import CollideOptions, collide, detect
 from pgccd.search.enclosed import enclosed_pairs
 from pgccd.search.query import Query
-from pgccd.search.trajectories import detect_segments, repeated
+from pgccd.search.trajectories import detect_segments
 
 #: Whether bodies at rest, of several copies of a scene, do something in pairs (P, 2): (P,) bool.
 _Test: TypeAlias = Callable[[Scene, RigidMotion | VertexMotion, Tensor], Tensor]
@@ -173,14 +173,10 @@ class _Auditor:
         return (1.0 - added.toi) * approach
 
     def _closing_rates(self, part: Trajectory, found: Contacts, segment: Tensor) -> Tensor:
-        """(K,) lengths per segment, >= 0: the rate at which the gap closes along the normal at toi. Where the gap is
-        zero up to rounding the side of the normal is undefined; but if toi > 0 the gap has closed, so the sign is
-        known.
-        """
+        """(K,) lengths per segment, >= 0: the rate at which the gap closes along the normal at toi."""
         bodies = found.pairs + segment[:, None] * self.scene.body_count
-        sites = Sites.of(found, repeated(self.scene, part.segment_count), part.steps(), bodies)
-        rate = -dot(found.normal, sites.velocity().to(found.normal.device))
-        return torch.where(found.toi > 0.0, rate.abs(), rate.clamp(min=0.0))
+        given = operands(repeated(self.scene, part.segment_count), part.steps(), bodies, found)
+        return ops.closing_rates(*given)[0].clamp(min=0.0)
 
     def _at_both_ends(self, part: Trajectory, segment: Tensor, pairs: Tensor, test: _Test) -> tuple[Tensor, Tensor]:
         """(K,) bool each: whether pairs (K, 2) pass a test at the start and at the end of segments (K,)."""

@@ -7,8 +7,8 @@ from torch import Tensor
 
 from pgccd.contacts.contacts import Contacts
 from pgccd.contacts.derivatives import Corners, differentiate
-from pgccd.contacts.kinds import Kind, Status
-from pgccd.contacts.sites import corner_rows, feature_rows
+from pgccd.contacts.kinds import EDGE, FACE, FEATURES, VERTEX, Kind, Status
+from pgccd.geometry.mesh import MeshSet
 from pgccd.geometry.scene import Scene
 from pgccd.motion.differentiable import oriented, rows_of, turned, with_gradient_of
 from pgccd.motion.paths import RigidMotion, VertexMotion
@@ -48,7 +48,7 @@ def corner_points(
         kind, features, toi: columns of contacts.
     """
     mesh = scene.mesh_index[bodies].long()
-    rows = corner_rows(scene.meshes, mesh, *feature_rows(scene.meshes, mesh, kind, features))
+    rows = _corner_rows(scene.meshes, mesh, *_feature_rows(scene.meshes, mesh, kind, features))
     if isinstance(motion, RigidMotion):
         position, velocity = _rigid_points(motion, bodies, scene.meshes.tensors[0][rows], toi[:, None, None, None])
     else:
@@ -73,3 +73,22 @@ def _rigid_points(motion: RigidMotion, pairs: Tensor, vertices: Tensor, time: Te
         return start + arm + time * (travel + turning), travel + turning
     arm = turned(arm, time * rotation)
     return start + time * travel + arm, travel + torch.linalg.cross(rotation.expand_as(arm), arm)
+
+
+def _feature_rows(meshes: MeshSet, mesh: Tensor, kind: Tensor, features: Tensor) -> tuple[Tensor, Tensor]:
+    """Of contacts of meshes (K, 2): VERTEX, FACE or EDGE (K, 2), and the row (K, 2) among these of all meshes."""
+    what = torch.tensor(FEATURES, device=kind.device)[kind.long()]
+    return what, meshes.offsets.to(kind.device)[mesh, what] + features.long()
+
+
+def _corner_rows(meshes: MeshSet, mesh: Tensor, what: Tensor, row: Tensor) -> Tensor:
+    """(K, 2, 3) int64: the corners of features of meshes (K, 2), see `Corners`, as rows of the vertices of all meshes.
+
+    Args:
+        what, row: see `_feature_rows`.
+    """
+    _, faces, edges, *_ = meshes.tensors  # vertices of their mesh
+    of_face = faces[torch.where(what == FACE, row, 0)]
+    of_edge = edges[torch.where(what == EDGE, row, 0)][:, [[0], [1]], [[0, 1, 0], [0, 0, 1]]]
+    what, first = what[:, :, None], meshes.offsets[:, 0].to(mesh.device)[mesh][:, :, None]
+    return torch.where(what == VERTEX, row[:, :, None], first + torch.where(what == FACE, of_face, of_edge))

@@ -1,11 +1,15 @@
 """Kinds of contacts, the features that touch in each, and how a test ended."""
 
-from typing import Final
+from typing import Final, Literal
 
 #: Features, as columns of `MeshSet.offsets`.
 VERTEX, FACE, EDGE = 0, 1, 2
 #: By kind the feature of i and that of j: what `features` counts.
 FEATURES = ((VERTEX, FACE), (FACE, VERTEX), (EDGE, EDGE), (EDGE, FACE), (FACE, EDGE))
+
+#: Whose normals contacts have: see `pgccd.detect`.
+Normals = Literal["features", "surface"]
+NORMALS = ("features", "surface")
 
 
 class _NamedIntegers:

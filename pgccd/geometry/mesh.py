@@ -16,7 +16,7 @@ from torch import Tensor
 from pgccd import _host, arguments
 from pgccd.geometry import mesh_files, shapes
 from pgccd.geometry.boxes import elongated_box
-from pgccd.geometry.incidence import Incidence
+from pgccd.geometry.incidence import incidence
 from pgccd.geometry.origin import Origin, checked_origin, checked_point, origin_point
 
 # Maximum number of triangles per leaf of the hierarchy: one per lane of a vector unit.
@@ -424,15 +424,11 @@ class MeshSet:
         self.device = self.tensors[0].device
 
     @cached_property
-    def _incidence(self) -> Incidence:
-        """Which faces and edges meet. Made when first asked for."""
+    def _incidence(self) -> tuple[list[Tensor], int]:
+        """Which faces and edges meet, see `incidence`; on the meshes' device. Made when first asked for."""
         vertices, faces, edges = (tensor.cpu() for tensor in self.tensors[:3])
-        return Incidence.of(vertices, faces, edges, self.offsets).to(self.device)
-
-    @cached_property
-    def _on_cpu(self) -> MeshSet:
-        """The same meshes on the CPU, with what is made of them when first asked for."""
-        return self if self.device.type == "cpu" else self.to("cpu")
+        lists, most = incidence(vertices, faces, edges, self.offsets)
+        return [column.to(self.device) for column in lists], most
 
     def __len__(self) -> int:
         return len(self.meshes)

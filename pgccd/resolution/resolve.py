@@ -13,6 +13,7 @@ from pgccd import arguments
 from pgccd.contacts.contacts import Contacts
 from pgccd.geometry.scene import Scene
 from pgccd.geometry.scene_columns import bool_column
+from pgccd.motion.of_scene import check_trajectory
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
 from pgccd.resolution.listed import ListedSearch, are_near, is_on_arcs, is_short, travels_of
@@ -33,7 +34,6 @@ from pgccd.search.memory import CapacityEstimate
 from pgccd.search.padded import search_padded
 from pgccd.search.passes import SearchPass, find_pass, pairs_of_rounds
 from pgccd.search.query import Query
-from pgccd.search.trajectories import check_trajectory
 
 # All of them are enqueued; from the fifth on each one stops a body for good.
 _MOST_ROUNDS = 1000

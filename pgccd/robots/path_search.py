@@ -12,6 +12,7 @@ from torch import Tensor
 from pgccd import arguments
 from pgccd.contacts.trajectories import time_along
 from pgccd.geometry.scene import Scene
+from pgccd.motion.of_scene import repeated
 from pgccd.motion.paths import RigidMotion
 from pgccd.motion.vectors import square_root
 from pgccd.robots.certificate import Certificate, Verdict
@@ -19,7 +20,6 @@ from pgccd.robots.obstacles import Obstacles
 from pgccd.robots.robot import LARGEST_VALUE, Robot
 from pgccd.robots.stray import LONGEST_TURN, MOST_TURN, turns
 from pgccd.search.detect import detect
-from pgccd.search.trajectories import repeated
 
 # Bodies in one call.
 _BODIES_AT_ONCE = 400_000

@@ -17,6 +17,7 @@ from torch import Tensor
 from pgccd import arguments
 from pgccd.geometry.mesh import Mesh
 from pgccd.geometry.scene import Scene
+from pgccd.motion.of_scene import repeated
 from pgccd.motion.paths import RigidMotion
 from pgccd.motion.trajectory import Trajectory
 from pgccd.robots.kinematics import Joint, Poses, Tree
@@ -24,7 +25,6 @@ from pgccd.robots.obstacles import Obstacles
 from pgccd.robots.shapes import PLANE, ThickSurface, joined
 from pgccd.robots.stray import LONGEST_TURN, MOST_TURN, Chains, pose_error, stray_bound, turns
 from pgccd.search.detect import collide
-from pgccd.search.trajectories import repeated
 
 if TYPE_CHECKING:
     from pgccd.robots.certificate import Certificate

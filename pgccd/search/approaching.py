@@ -1,7 +1,8 @@
 """The contacts that a solver must respond to.
 
 Of a pair whose first contact recedes the contacts are not all listed: they are searched for in windows of time that
-grow, and examined in their order in batches that grow, until one is not certain to recede.
+grow, until one is not certain to recede. What certainly recedes is proved by an operator
+(csrc/kernels/contacts/recession_item.h).
 """
 
 from __future__ import annotations
@@ -14,37 +15,35 @@ import torch
 from torch import Tensor
 
 from pgccd import arguments, ops
-from pgccd.contacts.approach import Recession, moving_bodies
+from pgccd.contacts.approach import checked_rates, moving_bodies
 from pgccd.contacts.contacts import Contacts, Stats, contacts_of, earliest_of_each
 from pgccd.contacts.gradients import add_gradients
 from pgccd.contacts.kinds import Kind, Status
-from pgccd.contacts.normals import surface_normals
-from pgccd.contacts.sites import Sites, reduced
+from pgccd.contacts.operands import operands
 from pgccd.geometry.scene import Scene
 from pgccd.motion.differentiable import any_differentiated
+from pgccd.motion.of_scene import in_scene, segments_as_step
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
 from pgccd.search import narrow
 from pgccd.search.bodies import MovingBodies
-from pgccd.search.checks import separation_value
+from pgccd.search.checks import RELATIVE_TOLERANCE, separation_value
 from pgccd.search.detect import detect_moving
 from pgccd.search.query import Query
-from pgccd.search.trajectories import in_scene, of_trajectory, segments_as_step
+from pgccd.search.trajectories import of_trajectory
 
 C = TypeVar("C", bound=Contacts)
 
-# The first window ends at the first contact. By how much later ones are longer than those before, and the part of the
-# step that the second one has at least.
+# The first window ends at the first contact, of bodies with fewer pairs of faces than this it is the whole step. By how
+# much later ones are longer than those before, and the part of the step that the second one has at least.
+_FEW_FACES = 1 << 12
 _LONGER = 8.0
 _SECOND_WINDOW = 1.0 / 8.0
 # Pairs that are searched together at first, and candidates that they should have.
 _PAIRS = 32
 _CANDIDATES = 1 << 18
-# Contacts of each pair in its first batch; by how much later ones are larger; and contacts of all pairs that a batch
-# has at least.
-_BATCH = 8
+# By how much later batches of pairs are larger.
 _LARGER = 4
-_ROWS = 512
 
 
 def approaching(
@@ -89,13 +88,45 @@ def approaching(
     copies, steps, bodies = moving_bodies(scene, motion, hits)
     with torch.no_grad():
         recession = Recession.of(copies, steps, slack)
-        recedes = recession.is_certain(hits, bodies, refuses_others=True)
+        checked_rates(recession.scene, recession.motion, bodies, hits)
+        recedes = recession.is_certain(hits, bodies)
     kept = hits[~recedes]
     if options["report"] == "first" and len(kept) < len(hits):
         later = _later(scene, motion, hits[recedes], recession, options)
         if later is not None:
             kept = _joined(kept, later)
     return replace(kept, stats=replace(kept.stats, contacts=len(kept)))
+
+
+@dataclass
+class Recession:
+    """The proof that contacts recede: their features, and the surfaces around them, certainly come closer by at most
+    `slack` in the rest of the step.
+
+    Attributes:
+        scene, motion: without gradients.
+        slack: (N,), of each body; the smaller one of two counts.
+    """
+
+    scene: Scene
+    motion: RigidMotion | VertexMotion
+    slack: Tensor
+
+    @classmethod
+    def of(cls, scene: Scene, motion: RigidMotion | VertexMotion, slack: float | None) -> Recession:
+        """Of bodies; slack None: 1e-6 of the SBV radius."""
+        radius = scene._detached().radius
+        slacks = RELATIVE_TOLERANCE * radius if slack is None else torch.full_like(radius, slack)
+        return cls(scene._detached(), motion._detached(), slacks)
+
+    def surface_normals(self, contacts: Contacts, bodies: Tensor) -> Tensor:
+        """(K, 3): as of normals="surface", of contacts of bodies (K, 2)."""
+        return ops.surface_normals(*operands(self.scene, self.motion, bodies, contacts))
+
+    def is_certain(self, contacts: Contacts, bodies: Tensor) -> Tensor:
+        """(K,) bool: contacts of bodies (K, 2) that recede."""
+        given = operands(self.scene, self.motion, bodies, contacts)
+        return ops.certainly_recede(*given, contacts.status, self.slack).bool()
 
 
 def _later(
@@ -121,14 +152,14 @@ def _later(
             first: Any = detect_moving(moving, replace(query, report="first"), pairs=pairs)
             bodies, toi = first.pairs, first.toi
         else:
-            bodies, of_pair = torch.unique(bodies, dim=0, return_inverse=True)
-            toi = reduced(hits.toi.detach(), of_pair, len(bodies), "amin", 1.0)
+            bodies, of_pair = _distinct(bodies, copies.body_count)
+            toi = torch.ones(len(bodies), dtype=torch.float64, device=bodies.device)
+            toi = toi.scatter_reduce(0, of_pair, hits.toi.detach(), "amin")
         found = search.of_segments(bodies, toi, scene.body_count)
         if found is None:
             return None
         if search.wants_surface:
-            sites = Sites.of(found, recession.scene, recession.motion, found.pairs)
-            found.normal = surface_normals(sites, found.normal.cpu()).to(found.normal.device)
+            found.normal = recession.surface_normals(found, found.pairs)
     is_differentiated = any_differentiated(*steps._values(), copies.margin, options["min_separation"])
     if hits._differentiable is not None and is_differentiated:
         add_gradients(found, copies, steps, options["min_separation"])
@@ -161,7 +192,7 @@ class _Search:
             toi: (P,) of the first contact of each.
         """
         segment, of_scene = in_scene(pairs, count)
-        distinct, owner = torch.unique(of_scene, dim=0, return_inverse=True)
+        distinct, owner = _distinct(of_scene, count)
         # Segments of each pair, first one, then two more, then four.
         order = torch.argsort(owner, stable=True)
         begin = torch.searchsorted(owner[order], torch.arange(len(distinct), device=pairs.device))
@@ -179,7 +210,7 @@ class _Search:
             return None
         found = Contacts.cat(parts)
         segment, of_scene = in_scene(found.pairs, count)
-        _, owner = torch.unique(of_scene, dim=0, return_inverse=True)
+        _, owner = _distinct(of_scene, count)
         return found[earliest_of_each(owner, len(found), segment, found.toi)]
 
     def _of_pairs(self, pairs: Tensor, toi: Tensor) -> Iterator[tuple[Contacts, Tensor]]:
@@ -189,7 +220,10 @@ class _Search:
             toi: (P,) of the first contact of each.
         """
         # The end of the window before and of this one, and how many contacts until the former recede.
-        before, until, receding = torch.full_like(toi, -1.0), toi.clone(), torch.zeros_like(pairs[:, 0])
+        scene = self.bodies.scene
+        faces = scene.meshes.offsets.diff(dim=0)[:, 1].to(pairs.device)[scene.mesh_index.long()][pairs].prod(1)
+        until = torch.where(faces < _FEW_FACES, 1.0, toi)
+        before, receding = torch.full_like(toi, -1.0), torch.zeros_like(pairs[:, 0])
         left, size = torch.arange(len(pairs), device=pairs.device), _PAIRS
         while len(left):
             begin = 0
@@ -197,10 +231,12 @@ class _Search:
                 chosen = left[begin : begin + size]
                 begin += size
                 contacts, place, candidates = self._until(pairs[chosen], until[chosen])
-                early = torch.zeros_like(chosen).index_add(0, place, (contacts.toi <= before[chosen][place]).long())
-                # From the first one on, if now more are found until then.
-                skipped = torch.where(early == receding[chosen], early, 0)
-                rows, receding[chosen] = self._first(contacts, place, skipped)
+                early = contacts.toi <= before[chosen][place]
+                count = torch.bincount(place[early], minlength=len(chosen))
+                # Unless now more are found until then.
+                is_known = early & (count == receding[chosen])[place]
+                receding[chosen] = torch.bincount(place, minlength=len(chosen))
+                rows = self._first(contacts, place, is_known, len(chosen))
                 until[chosen[place[rows]]] = torch.inf
                 yield contacts[rows], chosen[place[rows]]
                 size = max(1, min(_LARGER * size, size * _CANDIDATES // max(1, candidates)))
@@ -210,57 +246,43 @@ class _Search:
             size = max(1, int(size / _LONGER))
 
     def _until(self, pairs: Tensor, until: Tensor) -> tuple[Contacts, Tensor, int]:
-        """All contacts of pairs until times (P,), in their order by pair; the row of their pair (K,); and the number of
-        candidates.
-        """
+        """All contacts of pairs until times (P,); the row of their pair (K,); and the number of candidates."""
         operands, query, lengths = self.bodies.operands, self.query, self.query.lengths
         candidates, _ = ops.traverse(operands, pairs, until, *lengths, query.tests_start)
         rows = ops.narrow(operands, pairs, candidates, *lengths, query.nonzero_toi, narrow.REPORTS["all"])
         place = rows[0].long()
         contacts: Any = contacts_of((pairs[place], *rows[1:]), "all", Stats(bodies=len(self.recession.slack)))
-        order = torch.nonzero(contacts.toi <= until[place])[:, 0]
-        order = order[torch.argsort(contacts.toi[order], stable=True)]
-        order = order[torch.argsort(place[order], stable=True)]
-        return contacts[order], place[order], len(candidates)
+        chosen = contacts.toi <= until[place]
+        return contacts[chosen], place[chosen], len(candidates)
 
-    def _first(self, contacts: Contacts, place: Tensor, skipped: Tensor) -> tuple[Tensor, Tensor]:
-        """Rows of the first contacts that are not certain to recede, and how many before them do, of each pair (P,).
+    def _first(self, contacts: Contacts, place: Tensor, is_known: Tensor, count: int) -> Tensor:
+        """Rows of the first contacts that are not certain to recede, of those of `count` pairs that have one.
 
         Args:
-            contacts: K, in their order by pair.
+            contacts: K.
             place: (K,) the row of their pair.
-            skipped: (P,) contacts of each pair that are known to recede.
+            is_known: (K,) bool: contacts that are known to recede.
         """
-        count, every = len(skipped), torch.arange(len(place), device=place.device)
-        begin = torch.searchsorted(place, torch.arange(count + 1, device=place.device))
-        begin, end = begin[:-1], begin[1:]
         # Some are in without a test.
-        is_known = (contacts.kind > Kind.EE) | (contacts.status != Status.TOUCH)
-        first = torch.where(is_known, every, len(place))
-        first = reduced(first, place, count, "amin", len(place))
-        at, last = begin + skipped, torch.minimum(first, end)
-        open_pairs, size = torch.nonzero(at < last)[:, 0], _BATCH
-        while len(open_pairs):
-            size = max(size, _ROWS // len(open_pairs))
-            length = (last - at)[open_pairs].clamp(max=size)
-            owner = torch.repeat_interleave(length)
-            rows = at[open_pairs][owner] + (
-                torch.arange(len(owner), device=owner.device) - (length.cumsum(0) - length)[owner]
-            )
-            stays = rows[~self._recede(contacts[rows])]
-            first = first.scatter_reduce(0, place[stays], stays, "amin")
-            at[open_pairs] += length
-            open_pairs, size = open_pairs[(at < torch.minimum(first, last))[open_pairs]], _LARGER * size
-        is_found = first < end
-        return first[is_found], torch.minimum(first, end) - begin
+        stays = (contacts.kind > Kind.EE) | (contacts.status != Status.TOUCH)
+        first = torch.full((count,), torch.inf, dtype=torch.float64, device=place.device)
+        first = first.scatter_reduce(0, place[stays], contacts.toi[stays], "amin")
+        tested = torch.nonzero(~is_known & ~stays & (contacts.toi <= first[place]))[:, 0]
+        stays[tested] = ~self._recede(contacts[tested])
+        rows = torch.nonzero(stays)[:, 0]
+        return rows[earliest_of_each(place[rows], count, contacts.toi[rows])]
 
     def _recede(self, contacts: Contacts) -> Tensor:
         """(K,) bool: contacts that certainly recede."""
         if self.wants_surface:
-            sites = Sites.of(contacts, self.recession.scene, self.recession.motion, contacts.pairs)
-            normal = surface_normals(sites, contacts.normal.cpu())
-            contacts = replace(contacts, normal=normal)
+            contacts = replace(contacts, normal=self.recession.surface_normals(contacts, contacts.pairs))
         return self.recession.is_certain(contacts, contacts.pairs)
+
+
+def _distinct(pairs: Tensor, count: int) -> tuple[Tensor, Tensor]:
+    """The distinct ones (D, 2) of pairs (P, 2) of `count` bodies, sorted, and the row of each among these (P,)."""
+    keys, owner = torch.unique(pairs[:, 0] * count + pairs[:, 1], return_inverse=True)
+    return torch.stack([keys // count, keys % count], 1), owner
 
 
 def _joined(one: C, other: C) -> C:

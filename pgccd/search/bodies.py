@@ -11,9 +11,9 @@ from torch import Tensor
 from pgccd import arguments, ops
 from pgccd.geometry.mesh import MeshSet
 from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
-from pgccd.geometry.scene_columns import mesh_expected
+from pgccd.motion.of_scene import check_bodies, scene_columns
 from pgccd.motion.paths import RigidMotion, VertexMotion
-from pgccd.motion.validation import MARGIN, Check, Checked, Validation, first_invalid_radius, first_invalid_rows, joined
+from pgccd.motion.validation import Validation, first_invalid_radius, first_invalid_rows, joined
 
 # The tensors of rigid bodies, and the columns of a motion among them.
 _RIGID = ("mesh_index", "position_t0", "position_t1", "radius", "orientation_t0", "rotation")
@@ -79,12 +79,9 @@ class MovingBodies:
         columns = motion._plain()
         if scene.margin is not None or scene._fixed:
             scene._refuse()
-        if scene.device != columns[0].device:
-            raise ValueError(f"motion: is on {columns[0].device}, the scene on {scene.device}")
+        check_bodies(scene, motion)
         if isinstance(motion, RigidMotion):
             position_t0, position_t1, orientation, rotation = columns
-            if position_t0.shape[0] != scene.body_count:
-                raise ValueError(f"motion: has {position_t0.shape[0]} bodies, the scene {scene.body_count}")
             radius, invalid_rows = _sound_radii(scene, position_t0, position_t1, orientation, rotation)
             tensors = [scene.mesh_index, position_t0, position_t1, radius, orientation, rotation]
             bodies = cls(scene, motion, tensors, motion.path == "linear", False, invalid_rows)
@@ -252,24 +249,6 @@ class MovingBodies:
         return rows if self.deforming else rows[:0]
 
 
-def scene_columns(scene: Scene) -> list[Checked]:
-    """The columns of a scene whose values are validated at each use."""
-    columns = []
-    if scene._given_radius is None:
-        count = len(scene.meshes)
-        columns = [Checked("mesh_index", scene.mesh_index, Check("range", count - 1.0, mesh_expected(count)), "body")]
-    if scene.margin is not None:
-        columns.append(Checked("margin", scene.margin, MARGIN, "body"))
-    return columns
-
-
-def check_scene(scene: Scene) -> None:
-    """Raises ValueError if a value of a column of a scene is invalid. Synchronises with a GPU."""
-    scene._refuse()
-    if columns := scene_columns(scene):
-        Validation(columns).raise_from(first_invalid_rows(columns).tolist())
-
-
 def _sound_radii(
     scene: Scene, position_t0: Tensor, position_t1: Tensor, orientation: Tensor, rotation: Tensor
 ) -> tuple[Tensor, Tensor]:
@@ -286,9 +265,6 @@ def _sum_of_three(v: Tensor) -> Tensor:
 
 def _deforming(scene: Scene, x_t0: Tensor, x_t1: Tensor) -> list[Tensor]:
     layout = scene.layout
-    if len(x_t0) != layout.vertex_count:
-        expected = f"the scene's bodies have {layout.vertex_count}"
-        raise ValueError(f"motion: x_t0 has {len(x_t0)} vertices, {expected}")
     position_t0, position_t1, radius, blocks_t0, blocks_t1 = ops.refit(
         scene.meshes.tensors,
         scene._sound_index,

@@ -10,9 +10,9 @@ from pgccd import arguments, ops
 from pgccd.contacts.by_body import SceneBodies
 from pgccd.contacts.contacts import CollidingPairs, Contacts
 from pgccd.contacts.gradients import add_gradients
-from pgccd.contacts.normals import NORMALS, Normals, surface_normals
+from pgccd.contacts.kinds import NORMALS, Normals
+from pgccd.contacts.operands import operands
 from pgccd.contacts.padded import PaddedCollidingPairs, PaddedContacts
-from pgccd.contacts.sites import Sites
 from pgccd.contacts.trajectories import TrajectoryContacts
 from pgccd.geometry.scene import Scene
 from pgccd.motion.differentiable import any_differentiated
@@ -199,8 +199,7 @@ def detect(
     if differentiated:
         add_gradients(found, *given, min_separation)
     elif normals == "surface":
-        sites = Sites.of(found, scene, motion, found.pairs)
-        found.normal = surface_normals(sites, found.normal.cpu()).to(scene.device)
+        found.normal = ops.surface_normals(*operands(scene, motion, found.pairs, found))
     found._found_with = {
         "report": report,
         "min_separation": min_separation,

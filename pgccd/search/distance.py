@@ -15,12 +15,12 @@ from pgccd.contacts.contacts import earliest_of_each
 from pgccd.contacts.rows import Form, Rows
 from pgccd.contacts.trajectories import time_along
 from pgccd.geometry.scene import Scene
+from pgccd.motion.of_scene import in_scene, segments_as_step
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
 from pgccd.search import broad
 from pgccd.search.bodies import MovingBodies
 from pgccd.search.checks import RELATIVE_TOLERANCE, check_pairs, operator_tolerance, warn_of_rounded_positions
-from pgccd.search.trajectories import in_scene, segments_as_step
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)

@@ -9,16 +9,13 @@ from torch import Tensor
 from pgccd.contacts.by_body import SceneBodies
 from pgccd.contacts.contacts import CollidingPairs, Contacts, earliest_row
 from pgccd.contacts.trajectories import TrajectoryContacts, time_along
-from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
+from pgccd.geometry.scene import Scene
 from pgccd.motion.differentiable import with_gradient_of
+from pgccd.motion.of_scene import in_scene, segments_as_step
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
 from pgccd.search import narrow
-from pgccd.search.bodies import check_scene
 from pgccd.search.checks import check_pairs
-
-_MOST_ROWS = 2**31
-
 
 R_co = TypeVar("R_co", bound=Contacts | CollidingPairs, covariant=True)
 
@@ -28,17 +25,6 @@ class FindInStep(Protocol[R_co]):
 
     def __call__(self, scene: Scene, motion: RigidMotion | VertexMotion, *, pairs: Tensor | None) -> R_co:
         """As `pgccd.detect` and `pgccd.collide`, with other arguments bound."""
-
-
-def check_trajectory(scene: Scene, trajectory: Trajectory) -> None:
-    """Raises ValueError if a trajectory is on another device, or is that of another number of bodies."""
-    if scene.device != trajectory.device:
-        raise ValueError(f"motion: is on {trajectory.device}, the scene on {scene.device}")
-    rows, expected, what = trajectory.position.shape[1], scene.body_count, "bodies"
-    if trajectory.orientation is None:
-        expected, what = scene.layout.vertex_count, "vertices"
-    if rows != expected:
-        raise ValueError(f"motion: has {rows} {what}, the scene {expected}")
 
 
 def detect_segments(
@@ -55,30 +41,6 @@ def detect_segments(
     copies, steps, of_copies = segments_as_step(scene, trajectory, pairs)
     found = find(copies, steps, pairs=of_copies)
     return found, *in_scene(found.pairs, scene.body_count)
-
-
-def segments_as_step(
-    scene: Scene, trajectory: Trajectory, pairs: Tensor | None
-) -> tuple[Scene, RigidMotion | VertexMotion, Tensor | None]:
-    """All segments of a trajectory as one step of a scene with one copy of each body per segment, and the checked pairs
-    (P, 2) of the scene in each of them, (S P, 2).
-    """
-    steps = trajectory.steps()
-    segments, count = trajectory.segment_count, scene.body_count
-    check_scene(scene._detached())
-    check_trajectory(scene, trajectory)
-    copies = repeated(scene, segments)
-    copies.margin = trajectory._margins(copies.margin, count)
-    if pairs is None:
-        return copies, steps, None
-    first_body = torch.arange(segments, device=scene.device)[:, None, None] * count
-    return copies, steps, (pairs + first_body).reshape(-1, 2)
-
-
-def in_scene(pairs: Tensor, count: int) -> tuple[Tensor, Tensor]:
-    """Of pairs (K, 2) of the copies of `count` bodies the segment (K,) and the pair (K, 2) of the scene."""
-    segment = torch.div(pairs[:, 0], max(1, count), rounding_mode="floor")
-    return segment, pairs - segment[:, None] * count
 
 
 def pairs_along(
@@ -134,28 +96,6 @@ def of_trajectory(found: Contacts, scene: Scene, segments: int, report: narrow.R
         _differentiable=None if found._differentiable is None else found._differentiable[chosen],
         _found_with=None if found._found_with is None else found._found_with | {"report": report},
     )
-
-
-def repeated(scene: Scene, times: int) -> Scene:
-    """A scene with `times` copies of each body, each copy in worlds of its own."""
-    if scene.body_count * times >= _MOST_ROWS or scene.world_count * times >= _MOST_ROWS:
-        raise ValueError(
-            f"motion: {times} segments of {scene.body_count} bodies in {scene.world_count} worlds are too many for one "
-            "call: more than 2^31 - 1"
-        )
-    columns = {name: getattr(scene, name) for name in OPTIONAL_COLUMNS}
-    columns = {name: column.repeat(times) for name, column in columns.items() if column is not None}
-    world = (
-        torch.zeros(scene.body_count, dtype=torch.int32, device=scene.device) if scene.world is None else scene.world
-    )
-    first = torch.arange(times, dtype=torch.int32, device=scene.device) * max(1, scene.world_count)
-    columns["world"] = (first[:, None] + world).reshape(-1)
-    own = None if scene.self_collision is None else scene.self_collision.repeat(times)
-    fixed = {"self_collision": own, "exclude": scene.exclude}
-    many = Scene._of_checked(scene.meshes, scene.mesh_index.repeat(times), **columns, **fixed)
-    many._capacity_estimates = scene._capacity_estimates
-    many._exclude_period = scene.body_count
-    return many
 
 
 def _first_of_pairs(pairs: Tensor, count: int) -> Tensor:

@@ -9,11 +9,10 @@ from typing import Any
 import pytest
 import torch
 from support.resting import sheet
+from support.surfaces import contacts_at, surface_normals
 from torch import Tensor
 
 import pgccd
-from pgccd.contacts.normals import surface_normals
-from pgccd.contacts.sites import Sites
 
 SHAPES = ("flat", "convex", "concave", "any", "rim", "fin")
 # A needle whose tip is its vertex 0, at the origin; it extends along z.
@@ -104,19 +103,18 @@ def found(cases: list[Case], is_first: bool) -> Tensor:
         u, v = each.coordinates
         position[row, 1 - side] = matrix @ (a + (u * (b - a) + v * (c - a)) + each.offset)
     rotation = turn.expand(2 * count, 4).contiguous()
-    sites = Sites(
-        scene,
-        pgccd.RigidMotion.at_rest(position.view(-1, 3), rotation),
-        torch.arange(2 * count).view(-1, 2),
-        torch.full((count,), int(pgccd.Kind.VF_BA if is_first else pgccd.Kind.VF_AB), dtype=torch.int8),
-        torch.tensor([[each.face, 0] if is_first else [0, each.face] for each in cases]),
-        torch.tensor([each.coordinates for each in cases], dtype=torch.float64),
-        torch.zeros(count, dtype=torch.float64),
-        position[:, 1 - side],
-    )
     sign = 1.0 if is_first else -1.0
-    normal = torch.stack([each.normal for each in cases])
-    return sign * surface_normals(sites, sign * normal @ matrix.T) @ matrix
+    hits = contacts_at(
+        torch.arange(2 * count).view(-1, 2),
+        kind=torch.full((count,), int(pgccd.Kind.VF_BA if is_first else pgccd.Kind.VF_AB), dtype=torch.int8),
+        features=torch.tensor([[each.face, 0] if is_first else [0, each.face] for each in cases], dtype=torch.int32),
+        coordinates=torch.tensor([each.coordinates for each in cases], dtype=torch.float64),
+        toi=torch.zeros(count, dtype=torch.float64),
+        point=position[:, 1 - side],
+        normal=sign * torch.stack([each.normal for each in cases]) @ matrix.T,
+    )
+    motion = pgccd.RigidMotion.at_rest(position.view(-1, 3), rotation)
+    return sign * surface_normals(scene, motion, hits) @ matrix
 
 
 def matrix_of(q: Tensor) -> Tensor:
@@ -263,17 +261,17 @@ def meeting(
     arrival = torch.stack([torch.zeros(3).double(), torch.zeros(3).double() + offset])
     change = torch.tensor([[0.0, 0.0, 0.0], travel], dtype=torch.float64)
     upright = torch.tensor([[1.0, 0.0, 0.0, 0.0]] * 2, dtype=torch.float64)
-    sites = Sites(
-        pgccd.Scene(meshes),
-        pgccd.RigidMotion(arrival - toi * change, upright, arrival + (1.0 - toi) * change, upright),
+    motion = pgccd.RigidMotion(arrival - toi * change, upright, arrival + (1.0 - toi) * change, upright)
+    hits = contacts_at(
         torch.tensor([[0, 1]]),
-        torch.tensor([kind], dtype=torch.int8),
-        torch.tensor([features]),
-        torch.tensor([coordinates], dtype=torch.float64),
-        torch.tensor([toi], dtype=torch.float64),
-        torch.zeros(1, 3, dtype=torch.float64),
+        kind=torch.tensor([kind], dtype=torch.int8),
+        features=torch.tensor([features], dtype=torch.int32),
+        coordinates=torch.tensor([coordinates], dtype=torch.float64),
+        toi=torch.tensor([toi], dtype=torch.float64),
+        point=torch.zeros(1, 3, dtype=torch.float64),
+        normal=torch.tensor([normal], dtype=torch.float64),
     )
-    return surface_normals(sites, torch.tensor([normal], dtype=torch.float64))[0]
+    return surface_normals(pgccd.Scene(meshes), motion, hits)[0]
 
 
 def edges_meet(meshes: list[pgccd.Mesh], normal: tuple[float, float, float], **options: Any) -> Tensor:

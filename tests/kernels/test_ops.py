@@ -136,6 +136,8 @@ def recorded(device: torch.device) -> list[Call]:
             moved = pgccd.VertexMotion(x.to(device), (x + 0.3).to(device))
             pgccd.detect(scene, moved)
             pgccd.detect(scene, moved, capacity=capacity)
+            for motion in (bodies.motion(device=device), bodies.motion("linear", device), moved):
+                pgccd.approaching(scene, motion, pgccd.detect(scene, motion, "all", 0.01, normals="surface"))
             stages_alone(pgccd.MovingBodies.of(scene, bodies.motion(device=device)))
             stages_alone(pgccd.MovingBodies.of(scene, moved))
             meet_in_boxes(device)

@@ -159,9 +159,9 @@ def change_everything() -> None:
             for other in replacements(value):
                 attempt(name, with_changed(arguments, (k,), other))
             for m, element in enumerate(value if isinstance(value, list) else []):
-                # Mesh sets and node blocks come from the package: only their shapes and offsets are validated.
+                # Mesh sets, incidence and node blocks come from the package: only shapes and offsets are validated.
                 is_blocks = isinstance(element, torch.Tensor) and element.dtype == torch.float32
-                is_content = is_blocks or (schema[k].name == "mesh_set" and m != 8)
+                is_content = is_blocks or schema[k].name == "incidence" or (schema[k].name == "mesh_set" and m != 8)
                 for other in replacements(element):
                     is_same_shape = isinstance(other, torch.Tensor) and other.shape == element.shape
                     if is_content and is_same_shape and other.dtype == element.dtype:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -12,14 +11,13 @@ from support.calls import Given
 from support.hard_scenes import hard_scene
 from support.random_scenes import random_scene
 from support.resting import KINDS, Kind, box, joined, sheet, sliding
+from support.surfaces import surface_normals
 from torch import Tensor
 
 import pgccd
-from pgccd.contacts import approach, normals
-from pgccd.contacts.approach import Recession
 from pgccd.contacts.contacts import earliest_of_each
-from pgccd.contacts.sites import Sites
 from pgccd.search import approaching as searched
+from pgccd.search.approaching import Recession
 
 CUBE = box((0.5, 0.5, 0.5))
 WALL = box((0.5, 10, 3), (5, 0, 2.5))
@@ -42,15 +40,8 @@ def listed(scene: pgccd.Scene, motion: Any, every: pgccd.Contacts) -> pgccd.Cont
 
 def take_small_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     """As if there were very many contacts."""
-    for module, name, value in (
-        (searched, "_PAIRS", 1),
-        (searched, "_CANDIDATES", 100),
-        (searched, "_BATCH", 2),
-        (searched, "_ROWS", 4),
-        (approach, "_MOST_SETS", 100),
-        (normals, "_MOST_FACES", 300),
-    ):
-        monkeypatch.setattr(module, name, value)
+    for name, value in (("_PAIRS", 1), ("_CANDIDATES", 100), ("_FEW_FACES", 0)):
+        monkeypatch.setattr(searched, name, value)
 
 
 # Trajectories, bodies that deform, self-collision, worlds, margins; resting, grazing and intersecting ones.
@@ -102,9 +93,9 @@ def test_few_contacts_are_listed_and_tested(monkeypatch: pytest.MonkeyPatch) -> 
         counts["listed"] += len(found[0])
         return found
 
-    def count_tested(self: Recession, contacts: pgccd.Contacts, bodies: Tensor, refuses_others: bool = False) -> Tensor:
+    def count_tested(self: Recession, contacts: pgccd.Contacts, bodies: Tensor) -> Tensor:
         counts["tested"] += len(contacts)
-        return is_certain(self, contacts, bodies, refuses_others)
+        return is_certain(self, contacts, bodies)
 
     monkeypatch.setattr(searched._Search, "_until", count_listed)
     monkeypatch.setattr(Recession, "is_certain", count_tested)
@@ -133,88 +124,18 @@ def tips(meshes: list[pgccd.Mesh], turn: float = 0.0) -> tuple[pgccd.Scene, pgcc
     return pgccd.Scene(meshes), pgccd.RigidMotion.from_velocity(x, upright, v, w, 1.0)
 
 
-def test_faces_around_a_vertex_are_examined_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Twice the sectors are four times the contacts, whose surfaces are equal."""
-    wound, parts = normals._wound, approach._parts
-    rows: list[int] = []
-    sets: list[int] = []
-
-    def count_rows(corners: Tensor) -> Tensor:
-        rows.append(len(corners))
-        return wound(corners)
-
-    def count_sets(sites: Sites) -> Any:
-        for part in parts(sites):
-            sets.append(len(approach._sets_around(sites[part])[0]))
-            yield part
-
-    monkeypatch.setattr(normals, "_wound", count_rows)
-    monkeypatch.setattr(approach, "_parts", count_sets)
-    totals = []
-    for sectors in (12, 24):
-        scene, motion = tips([cone(sectors, 1.0), cone(sectors, -1.0)])
-        rows.clear()
-        hits = pgccd.detect(scene, motion, "all", normals="surface")
-        assert len(hits) == sectors * sectors + 4 * sectors // 2
-        totals.append(sum(rows))
-    assert 0 < totals[1] < 3.0 * totals[0]
-    sets.clear()
-    monkeypatch.setattr(approach, "_MOST_SETS", 500)
-    assert len(pgccd.approaching(scene, motion, hits)) > 500
-    assert len(sets) > 4 and max(sets) <= 500
-
-
-def same_normals_alone(scene: pgccd.Scene, motion: pgccd.RigidMotion) -> None:
-    """Normals are those that each contact has alone."""
-    hits = pgccd.detect(scene, motion, "all")
-    sites = Sites.of(hits, scene, motion, hits.pairs)
-    together = normals.surface_normals(sites, hits.normal)
-    alone = [normals.surface_normals(sites[slice(k, k + 1)], hits.normal[k : k + 1]) for k in range(len(hits))]
-    assert len(hits) > 30 and torch.equal(together, torch.cat(alone))
-
-
 @pytest.mark.parametrize("has_lid", [True, False])
 @pytest.mark.parametrize("turn", [0.0, 0.4])
 def test_normals_of_contacts_with_the_same_surfaces(has_lid: bool, turn: float) -> None:
-    same_normals_alone(*tips([cone(7, 1.0, has_lid), cone(5, -1.0, has_lid)], turn))
-
-
-@pytest.mark.parametrize("has_lid", [True, False])
-def test_normals_of_stars(has_lid: bool) -> None:
-    """Of whose sides nothing but the features tells."""
+    """They are those that each contact has alone; of stars too, of whose sides nothing but the features tells."""
     star = cone(4, 1.0, has_lid)
     vertices = star.vertices.clone()
     vertices[2::2, 2] = -0.3
-    scene, motion = tips([pgccd.Mesh(vertices, star.faces), star])
-    same_normals_alone(scene, pgccd.RigidMotion.at_rest(torch.zeros_like(motion.position_t0), motion.orientation_t0))
-
-
-@pytest.mark.parametrize("turn", [0.0, 1e-3])
-def test_what_certainly_fails_would_fail(turn: float) -> None:
-    """Far from the references of their bodies sets that stay apart as far as they need, to the last bit, may stay."""
-    random = torch.Generator().manual_seed(5)
-    count = 400
-    direction = torch.nn.functional.normalize(torch.randn(count, 3, generator=random, dtype=torch.float64))
-    aside = torch.linalg.cross(direction, torch.randn(count, 3, generator=random, dtype=torch.float64))
-    x = torch.stack([torch.zeros_like(aside), 1e3 * aside], 1).flatten(0, 1)
-    scene = pgccd.Scene([CUBE], [0] * (2 * count))
-    q = torch.nn.functional.normalize(torch.randn(2 * count, 4, generator=random, dtype=torch.float64))
-    w = turn * torch.randn(2 * count, 3, generator=random, dtype=torch.float64)
-    motion = pgccd.RigidMotion.from_velocity(x, q, torch.zeros_like(x), w, 1.0)
-    zero = torch.zeros(count, 2, dtype=torch.int32)
-    bodies = torch.arange(2 * count).view(-1, 2)
-    columns = (zero[:, 0].char(), zero, zero.double(), torch.full((count,), 0.75).double(), x[::2])
-    vertex = torch.arange(count)[:, None].expand(-1, 3) % 8
-    sets = approach._Sets.of(Sites(scene, motion, bodies, *columns), torch.arange(count), vertex, vertex)
-    none = torch.zeros(count, dtype=torch.float64)
-    low, high = none - 1e3, none + 1e3
-    for _ in range(80):
-        middle = 0.5 * (low + high)
-        stays = sets.stay(direction, middle, none)
-        low, high = torch.where(stays, middle, low), torch.where(stays, high, middle)
-    assert sets.stay(direction, low, none).all() and (high - low).max() < 1e-10
-    ends = [replace(sets, toi=toi).apart_at_toi(direction) for toi in (sets.toi, torch.ones_like(sets.toi))]
-    assert (low - torch.minimum(*ends)).abs().max() < 1e-6  # the paths are nearly straight
-    for part in (0.0, 1.0 / 16.0, 1.0):
-        assert sets.may_stay(direction[:, None], low, part).all()
-    assert turn or not sets.may_stay(direction[:, None], high + 1e-5).any()
+    for meshes in ([cone(7, 1.0, has_lid), cone(5, -1.0, has_lid)], [pgccd.Mesh(vertices, star.faces), star]):
+        scene, motion = tips(meshes, turn)
+        if meshes[1] is star:
+            motion = pgccd.RigidMotion.at_rest(torch.zeros_like(motion.position_t0), motion.orientation_t0)
+        hits = pgccd.detect(scene, motion, "all")
+        together = surface_normals(scene, motion, hits)
+        alone = [surface_normals(scene, motion, hits[k : k + 1]) for k in range(len(hits))]
+        assert len(hits) > 30 and torch.equal(together, torch.cat(alone))

@@ -28,14 +28,8 @@ PGCCD_HD void pose_at(const RigidPoses& poses, int64_t row, double* position, do
   const double t = poses.time[row];
   store_vec3(position + 3 * row,
              (1.0 - t) * load_vec3(poses.position_t0 + 3 * row) + t * load_vec3(poses.position_t1 + 3 * row));
-  const Spin spin = make_spin(load_vec3(poses.rotation + 3 * row));
-  const double half_angle = 0.5 * (spin.angle * t);
-  Quaternion turn{NAN, {NAN, NAN, NAN}};  // of invalid input, reported by checks
-  if (half_angle <= kLargestAngle) {
-    const SineCosine half = sine_cosine(half_angle);
-    turn = {half.cosine, half.sine * spin.axis};
-  }
-  const Quaternion now = turn * normalized(load_quaternion(poses.orientation + 4 * row));
+  const Quaternion now =
+      orientation_at(load_quaternion(poses.orientation + 4 * row), load_vec3(poses.rotation + 3 * row), t);
   orientation[4 * row] = now.w;
   store_vec3(orientation + 4 * row + 1, now.v);
 }

@@ -35,7 +35,7 @@ from pgccd.geometry.digest import meshes_digest
 from pgccd.geometry.mesh import MeshSet
 from pgccd.geometry.scene import Scene
 from pgccd.geometry.scene_columns import pairs_never_tested
-from pgccd.search.bodies import check_scene
+from pgccd.motion.of_scene import check_scene
 
 
 @dataclass(frozen=True)
