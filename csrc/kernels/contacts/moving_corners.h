@@ -6,10 +6,22 @@
 namespace pgccd {
 namespace contacts_detail {
 
+// Of the magnitudes of its coordinates.
+PGCCD_HD double sum_of(Vec3<double> v) { return magnitude(v.x) + magnitude(v.y) + magnitude(v.z); }
+
 // Corners of a triangle, or of a part of it, on their paths: constant + first t; of a body that turns constant + first
 // cos(angle t) + second sin(angle t).
 struct MovingCorners {
   Vec3<double> constant[3], first[3], second[3];
+
+  // Bound of all terms, and of their errors relative to one rounding, along any direction of unit length.
+  PGCCD_HD double size(double angle) const {
+    double largest = 0.0;
+    for (int k = 0; k < 3; ++k) {
+      largest = larger(sum_of(constant[k]) + (1.0 + angle) * (sum_of(first[k]) + sum_of(second[k])), largest);
+    }
+    return largest;
+  }
 };
 
 // The same along a direction.
@@ -30,16 +42,6 @@ struct CornersAlong {
       along.radius[k] = std::sqrt(along.first[k] * along.first[k] + along.second[k] * along.second[k]);
     }
     return along;
-  }
-
-  // Bound of the sizes of all terms, and of their errors relative to one rounding.
-  PGCCD_HD double size() const {
-    double largest = 0.0;
-    for (int k = 0; k < 3; ++k) {
-      const double moving = (1.0 + angle) * (magnitude(first[k]) + magnitude(second[k]));
-      largest = larger(magnitude(constant[k]) + moving, largest);
-    }
-    return largest;
   }
 };
 

@@ -12,10 +12,8 @@ namespace contacts_detail {
 
 // Windows of the rest of the step for bodies that turn.
 constexpr int kWindows = 16;
-// Rounding of the expressions below, relative to the sum of what they add up.
+// Rounding of the expressions below, relative to the sum of what they add up, before it is projected.
 constexpr double kRounding = 0x1p-46;
-// The same, relative to all sizes, of distances that are not further examined; as a part of `Site::noise`.
-constexpr double kRoughly = 0x1p-4;
 // Sine of the angle between directions and a plane within which they may be rounded.
 constexpr double kSliding = 0x1p-36;
 // Sine of the angle within which a direction is the normal of a face.
@@ -166,7 +164,7 @@ class Recession {
   PGCCD_HD bool is_open(Vec3<double> direction) const {
     using namespace contacts_detail;
     if (!(length_of(direction) > 0.0) || !(dot_of(direction, site_.offset) >= -site_.noise)) return false;
-    const double needed = gap_ - slack_ - kRoughly * (1.0 + angle_[0] + angle_[1]) * site_.noise;
+    const double needed = gap_ - slack_;  // without the rounding that `stay` allows for, which is more than that here
     return dot_of(direction, later_[0]) >= needed && dot_of(direction, later_[1]) >= needed;
   }
 
@@ -232,7 +230,9 @@ class Recession {
     const CornersAt b_first = CornersAt::of(b, turned(1, 0), site_.toi);
     const double at_toi = start + change * site_.toi + (b_first.lowest() - a_first.highest());
     if (!(at_toi >= needed)) return false;  // most poor directions end here
-    const double error = kRounding * (magnitude(start) + magnitude(change) + a.size() + b.size());
+    const double size =
+        sum_of(site_.between) + sum_of(site_.change) + sets.one.size(angle_[0]) + sets.other.size(angle_[1]);
+    const double error = kRounding * size;
     if (!(at_toi - error >= needed)) return false;
     if (!turns_) {  // lowest at one of the ends
       const CornersAt a_last = CornersAt::of(a, {}, 1.0), b_last = CornersAt::of(b, {}, 1.0);

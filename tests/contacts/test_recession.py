@@ -1,0 +1,147 @@
+"""The proof that contacts recede, row by row: against the least distance of the features, which an oracle brackets."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from oracle import rigid, separation
+from support.resting import KINDS, Kind, box, sheet, sliding
+from support.surfaces import contacts_at
+from torch import Tensor
+
+import pgccd
+from pgccd import ops
+from pgccd.contacts.operands import operands
+from pgccd.search.approaching import Recession
+
+_SEPARATION = 0.7
+
+
+def triangles(count: int, rng: np.random.Generator) -> list[pgccd.Mesh]:
+    return [pgccd.Mesh(rng.normal(size=(3, 3)), [[0, 1, 2]]) for _ in range(count)]
+
+
+def columns(count: int, rng: np.random.Generator) -> list[Tensor]:
+    """Positions, orientations, and how they change, of pairs of bodies near each other."""
+    x, v, w = rng.normal(size=(3, 2 * count, 3))
+    x[1::2] = x[::2] + 1.2 * rng.normal(size=(count, 3))
+    v *= np.repeat(rng.choice([0.1, 1.0], count), 2)[:, None]
+    w *= np.repeat(rng.choice([0.0, 1e-3, 0.3, 3.0], count), 2)[:, None]
+    q = rng.normal(size=(2 * count, 4))
+    q /= np.linalg.norm(q, axis=1, keepdims=True)
+    return [torch.from_numpy(each) for each in (x, q, v, w)]
+
+
+def least_distances(scene: pgccd.Scene, motion: Any, hits: pgccd.Contacts) -> tuple[np.ndarray, np.ndarray]:
+    """(K,) each: a proven bracket of the least distance of the features over the step."""
+    low, high = np.empty(len(hits)), np.empty(len(hits))
+    for kind in (pgccd.Kind.VF_AB, pgccd.Kind.VF_BA, pgccd.Kind.EE):
+        rows = torch.nonzero(hits.kind == kind)[:, 0]
+        of = hits.pairs[rows].flip(1) if kind == pgccd.Kind.VF_BA else hits.pairs[rows]
+        numbers = hits.features[rows].flip(1) if kind == pgccd.Kind.VF_BA else hits.features[rows]
+        meshes = [[scene.meshes.meshes[int(scene.mesh_index[body])] for body in side] for side in of.T]
+        corners = []
+        for a, b, (m, n) in zip(*meshes, numbers.tolist(), strict=True):
+            one = a.edges[m].tolist() if kind == pgccd.Kind.EE else [m]
+            other = b.edges[n].tolist() if kind == pgccd.Kind.EE else b.faces[n].tolist()
+            corners.append(torch.cat([a.vertices[one], b.vertices[other]]))
+        points, is_face = torch.stack(corners).numpy(), kind != pgccd.Kind.EE
+        if motion.path == "rigid":
+            given = (motion.position_t0, motion.orientation_t0, motion.position_t1, motion.rotation)
+            bodies = [rigid.BodyMotion.from_rotation(*(c[of[:, k]].numpy() for c in given)) for k in (0, 1)]
+            lower, upper, _ = rigid.closest_approach(points, *bodies, is_face)
+        else:
+            of_corner = of[:, [0, 1, 1, 1] if is_face else [0, 0, 1, 1]]
+            turning = pgccd.RigidMotion.from_rotation(
+                motion.position_t0, motion.orientation_t0, motion.position_t1, motion.rotation
+            )
+            ends = []
+            for time in (0.0, 1.0):
+                position, orientation = (each[of_corner].numpy() for each in turning.at(time))
+                s, u = orientation[..., :1], orientation[..., 1:]
+                ends.append(position + points + 2 * (s * np.cross(u, points) + np.cross(u, np.cross(u, points))))
+            lower, upper, _ = separation.closest_approach(*ends, is_face)
+        low[rows.numpy()], high[rows.numpy()] = lower, upper
+    return low, high
+
+
+@pytest.mark.parametrize("path", ["rigid", "linear"])
+@pytest.mark.parametrize("seed", range(2))
+def test_features_that_recede_come_no_closer(path: pgccd.PathKind, seed: int, device: torch.device) -> None:
+    """Of single triangles, near each other at the start; and most of those that come no closer are found."""
+    rng, count = np.random.default_rng([seed, 17]), 120
+    scene = pgccd.Scene(triangles(2 * count, rng), world=torch.arange(count).repeat_interleave(2), device=device)
+    x, q, v, w = (column.to(device) for column in columns(count, rng))
+    motion = pgccd.RigidMotion.from_rotation(x, q, x + v, w, path=path)
+    hits = pgccd.detect(scene, motion, "all", _SEPARATION)
+    hits = hits[(hits.kind <= pgccd.Kind.EE) & (hits.toi == 0.0)]
+    there = operands(scene, motion, hits.pairs, hits)
+    lower, upper = least_distances(scene.to("cpu"), motion.to("cpu"), hits.to("cpu"))
+    still = pgccd.RigidMotion.at_rest(x, q)
+    gap, _ = least_distances(scene.to("cpu"), still.to("cpu"), hits.to("cpu"))
+    # Features count as near as the surfaces that they are on.
+    surfaces = torch.full((len(scene.mesh_index) // 2,), torch.inf, dtype=torch.float64)
+    pair = hits.pairs[:, 0].cpu() // 2
+    apart = surfaces.scatter_reduce(0, pair, torch.from_numpy(gap), "amin")[pair].numpy()
+    found = 0
+    for slack in (0.0, 1e-3, 0.1, 0.3):
+        slacks = torch.full_like(scene.radius, slack)
+        certain = ops.certainly_recede(*there, hits.status, slacks).bool().cpu().numpy()
+        assert (upper[certain] >= apart[certain] - slack - 1e-9).all()
+        stays = lower >= gap - 0.9 * slack
+        found += int((certain & stays).sum())
+        assert not certain.any() if slack == 0.0 else certain[stays].mean() > 0.6
+    assert len(hits) > 200 and found > 250
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_least_slack_on_a_slope(kind: Kind) -> None:
+    """Far from the origin of the bodies, sinking along a slope: the slack that suffices is the depth, and no less."""
+    turn = (0.7, 0.1, -0.6, 0.37416573867739417)
+    far = pgccd.Mesh(box((0.5, 0.5, 0.5)).vertices + torch.tensor([300.0, -200.0, 0.0]).double(), box((1, 1, 1)).faces)
+    depth = 1e-3
+    floor = sheet(2, 400.0)
+    scene, motion = sliding(kind, [far, floor], (0.0, 0.0, 0.5), (1.0, 0.3, -depth), orientation=turn)
+    hits = pgccd.detect(scene, motion, "all", 1e-9)
+    assert len(hits) > 3 and (hits.toi == 0.0).all()
+    low, high = 0.0, 2.0 * depth
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        is_certain = Recession.of(scene, motion, middle).is_certain(hits, hits.pairs)
+        low, high = (low, middle) if bool(is_certain.all()) else (middle, high)
+    # Rounding of the whole scene counts, though distances from the slope are small.
+    assert 1e-12 < high - depth < 1e-9
+
+
+def test_rows_that_name_no_features(device: torch.device) -> None:
+    """They are not read through: NaN, their own normal, and not certain."""
+    scene, motion = sliding("rigid", [box((0.5, 0.5, 0.5)), sheet(2, 3.0)], (0, 0, 0.5), (0.0, 0, 1.0), device)
+    hits = pgccd.detect(scene, motion, "all")
+    slack = torch.full_like(scene.radius, 1e-6)
+    for motion_of in (motion, _of_vertices(scene, motion)):
+        for name, value in (
+            ("kind", 5),
+            ("kind", -1),
+            ("features", 10**6),
+            ("features", -1),
+            ("pairs", 2),
+            ("pairs", -1),
+        ):
+            changed = {name: column.clone() for name, column in hits.columns.items()}
+            changed[name][0] = value
+            bodies = changed.pop("pairs")
+            wrong = contacts_at(bodies, **{k: c for k, c in changed.items() if k != "status"})
+            given = operands(scene, motion_of, bodies, wrong)
+            rate, _, away, _ = ops.closing_rates(*given)
+            assert rate.isnan().tolist() == away.isnan().tolist() == [True] + [False] * (len(hits) - 1)
+            assert torch.equal(ops.surface_normals(*given)[0], hits.normal[0])
+            assert ops.certainly_recede(*given, hits.status, slack).tolist() == [0] + [1] * (len(hits) - 1)
+
+
+def _of_vertices(scene: pgccd.Scene, motion: Any) -> pgccd.VertexMotion:
+    ends = (motion.position_t0, motion.position_t1)
+    bodies = [scene.meshes.meshes[k].vertices.to(scene.device) for k in scene.mesh_index.tolist()]
+    return pgccd.VertexMotion(*(torch.cat([v + x for v, x in zip(bodies, end, strict=True)]) for end in ends))
