@@ -18,7 +18,7 @@ from pgccd.baselines import PCCCD
 from pgccd.distributed import Comm
 
 # Voxels in the box [0, 8]^3: 64, one, and less than one.
-SETTINGS = ((2.0, "first"), (2.0, "all"), (8.0, "all"), (800.0, "first"))
+SETTINGS = ((2.0, "all"), (8.0, "first"), (800.0, "all"))
 # The baseline has no filters, so these bodies do meet.
 NAMES = ("met in a third rank's cell", "on corners of many cells", "faster than cells", "all in one cell")
 NAMES += ("outside the box", "a terrain under all", "kept apart, filtered")
@@ -68,7 +68,7 @@ def compare_robots(comm: Comm, pattern: str) -> int:
     begin, end = (rank * len(state) // comm.size for rank in (comm.rank, comm.rank + 1))
     mine = torch.arange(begin, end)
     baseline = PCCCD.create(model.meshes.meshes, comm=comm)
-    for index in range(8):
+    for index in range(5):
         step = step_of(model, state, index)
         state, whole = step.after, step.contacts
         before = sim.RobotState(**{name: column[mine] for name, column in step.before.columns.items()})

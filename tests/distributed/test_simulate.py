@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.forked_job import ForkedJob, command_line, script
+from support.forked_job import ForkedJob, command_line, script, torchrun_of_forked
 from support.launch import (
     NO_PEER_MEMORY,
     PEER_MEMORY,
@@ -25,6 +25,7 @@ from support.launch import (
     over_nccl,
     start_ranks,
     torchrun,
+    torchrun_options,
 )
 
 from pgccd import sim
@@ -127,21 +128,27 @@ def test_everything_over_mpi(tmp_path: Path) -> None:
 def test_torchrun_starts_all_again_and_one_process_continues(
     where: str, tmp_path: Path, expected: list[dict[str, Any]]
 ) -> None:
-    program = [*SIMULATE, *WORLD, "--steps", "60", *AGAIN, "--out", str(tmp_path)]
+    program = ["simulate", *WORLD, "--steps", "60", *AGAIN, "--out", str(tmp_path)]
     if where == "cuda":
-        program = over_nccl(2, *program, "--device", "cuda", "--transport", "nccl")
-    process = subprocess.Popen(
-        torchrun(2, "--max-restarts", "2", *program),
-        env=environment(),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    )
-    wait_for_checkpoint(tmp_path, [process])
-    killed = children(process.pid)[-1]
-    os.kill(killed, signal.SIGKILL)
-    output, _ = process.communicate(timeout=180)
-    assert process.returncode == 0, output
+        program = over_nccl(2, "-m", "pgccd", *program, "--device", "cuda", "--transport", "nccl")
+        process = subprocess.Popen(
+            torchrun(2, "--max-restarts", "2", *program),
+            env=environment(),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        wait_for_checkpoint(tmp_path, [process])
+        killed = kill_last_child(process.pid)
+        output, _ = process.communicate(timeout=180)
+        code = process.returncode
+    else:
+        options = [*torchrun_options(2), "--max-restarts", "2"]
+        with ForkedJob(1, tmp_path / "said", torchrun_of_forked, options, *program) as job:
+            wait_for_checkpoint(tmp_path, [])
+            killed = kill_last_child(job.processes[0].pid or 0)
+            (code,), output = job.finish(180.0), job.said
+    assert code == 0, output
     # Torchrun logs the first rank that it finds ended: the killed one, or the other one if its guard was faster.
     signs = "Signal 9 (SIGKILL)", "exitcode: -9", f"rank 1 (process {killed} on {os.uname().nodename}) has died"
     assert any(sign in output for sign in signs), output
@@ -154,6 +161,12 @@ def test_torchrun_starts_all_again_and_one_process_continues(
     assert hashes(log(tmp_path)) == hashes(expected)
     if where == "cpu":
         assert log(tmp_path) == expected
+
+
+def kill_last_child(process: int) -> int:
+    killed = children(process)[-1]
+    os.kill(killed, signal.SIGKILL)
+    return killed
 
 
 def wait_for_checkpoint(folder: Path, processes: list[subprocess.Popen[str]]) -> None:

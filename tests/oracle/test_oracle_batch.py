@@ -132,7 +132,7 @@ def intervals(points: np.ndarray, first: Turning, second: Turning, is_face: bool
 @KINDS
 @pytest.mark.parametrize("kept", [0.0, 0.05])
 @pytest.mark.parametrize("name", arcs.PLANS)
-@few_and_many("count", 12, 30)
+@few_and_many("count", 8, 30)
 def test_arcs_against_the_intervals(name: str, is_face: bool, kept: float, count: int) -> None:
     points, first, second = arc_queries(8, arcs.PLANS[name], is_face, count)
     found = batch.first_within(ArcPaths(points, first, second, is_face), kept)

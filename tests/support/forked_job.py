@@ -10,7 +10,7 @@ import runpy
 import sys
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
 from typing import Any
@@ -39,7 +39,7 @@ class ForkedJob:
         context, port = forkserver(), free_port()
         self._texts = [folder / f"rank-{rank}.txt" for rank in range(size)]
         self.processes = [
-            context.Process(target=_begin, args=(rank, size, port, self._texts[rank], job, arguments), daemon=True)
+            context.Process(target=_begin, args=(rank, size, port, self._texts[rank], job, arguments))
             for rank in range(size)
         ]
         for process in self.processes:
@@ -94,3 +94,20 @@ def script(path: str, *arguments: str) -> None:
 def command_line(*arguments: str) -> int:
     """A job: `pgccd` with these arguments."""
     return main(arguments)
+
+
+def torchrun_of_forked(options: Sequence[str], *arguments: str) -> None:
+    """A job of one process: torchrun with these options, whose ranks, `pgccd` with these arguments, are forked from it,
+    since each program that it starts imports torch.
+    """
+    from torch.distributed.launcher.api import elastic_launch
+    from torch.distributed.run import config_from_args, parse_args
+
+    config, _, _ = config_from_args(parse_args([*options, "pgccd"]))
+    config.start_method = "fork"
+    elastic_launch(config, _exit_with_code)(*arguments)
+
+
+def _exit_with_code(*arguments: str) -> None:
+    if code := main(arguments):
+        sys.exit(code)

@@ -38,8 +38,12 @@ def environment(**more: str) -> dict[str, str]:
 
 def torchrun(ranks: int, *arguments: str) -> list[str]:
     """The command; arguments: torchrun's, then the program's."""
-    command = [sys.executable, "-m", "torch.distributed.run", "--master-port", str(free_port())]
-    return [*command, "--nproc-per-node", str(ranks), "--monitor-interval", "0.1", *arguments]
+    return [sys.executable, "-m", "torch.distributed.run", *torchrun_options(ranks), *arguments]
+
+
+def torchrun_options(ranks: int) -> list[str]:
+    port = str(free_port())
+    return ["--master-port", port, "--nproc-per-node", str(ranks), "--monitor-interval", "0.1"]
 
 
 def over_nccl(ranks: int, *program: str) -> list[str]:
