@@ -31,6 +31,7 @@ BROAD = "csrc/kernels/broad/"
 BOUNDS = "csrc/kernels/bounds/"
 VOXEL = "csrc/kernels/voxel/"
 DISTANCE = "csrc/kernels/distance/"
+CONTACTS = "csrc/kernels/contacts/"
 
 ON_TRAVERSE = ("kernels/test_margins_traverse.py",)
 ON_NARROW = ("kernels/test_margins_narrow.py", "kernels/test_margins_candidates.py")

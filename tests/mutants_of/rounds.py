@@ -6,6 +6,7 @@ from mutants_of.mutant import Mutant
 
 BODIES = "pgccd/search/bodies.py"
 LISTED = "pgccd/resolution/listed.py"
+PATHS = "csrc/core/paths.h"
 ITEM = "csrc/kernels/resolve/pair_motion_item.h"
 RESOLVE = "pgccd/distributed/world/resolve.py"
 GRAPHS = "pgccd/distributed/world/world_graphs.py"
@@ -41,10 +42,10 @@ MUTANTS = [
     _mutant("rounds-skip-faster-bodies", ITEM, "fraction[i] == fraction[j]", "fraction[i] >= fraction[j]"),
     _mutant("rounds-never-skip", ITEM, "skips_equal && fraction[i] == fraction[j]", "false"),
     _mutant("rounds-first-body-changed", ITEM, "(changed[i] | changed[j]) != 0", "changed[i] != 0"),
-    _mutant("rounds-end-is-rounded", ITEM, "fraction == 1.0", "false"),
-    _mutant("rounds-start-is-rounded", ITEM, "fraction == 0.0", "false"),
+    _mutant("rounds-end-is-rounded", PATHS, "fraction == 1.0", "false"),
+    _mutant("rounds-start-is-rounded", PATHS, "fraction == 0.0", "false"),
     _mutant("rounds-displacement-is-an-end", ITEM, "start + part * end", "start + part * (end - start)"),
-    _mutant("rounds-stoppers-of-one-rank", RESOLVE, 'own.scatter_reduce(0, held.route.rows, answer, "amin")', "own"),
+    _mutant("rounds-stoppers-of-one-rank", RESOLVE, '.scatter_reduce(0, rows, answer, "amin")', ""),
     _mutant(
         "rounds-fixed-ghosts-stop",
         RESOLVE,

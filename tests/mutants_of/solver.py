@@ -2,256 +2,211 @@
 
 from __future__ import annotations
 
-from mutants_of.mutant import Mutant
+from mutants_of.mutant import CONTACTS, Mutant
 
 APPROACH = "pgccd/contacts/approach.py"
 SEARCH = "pgccd/search/approaching.py"
-SITES = "pgccd/contacts/sites.py"
-NORMALS = "pgccd/contacts/normals.py"
+SITE, ROWS = CONTACTS + "site_item.h", CONTACTS + "contacts.h"
+RECESSION, CORNERS = CONTACTS + "recession_item.h", CONTACTS + "moving_corners.h"
+SURFACE = CONTACTS + "surface_item.h"
 ON_APPROACH = ("contacts/test_approach.py",)
+ON_RECESSION = ("contacts/test_recession.py", "contacts/test_approach.py")
 ON_SEARCH = ("search/test_search_of_approaching.py", "contacts/test_approach.py")
-ON_WOULD = ("search/test_search_of_approaching.py::test_what_certainly_fails_would_fail",)
 ON_GRADIENTS = ("contacts/test_gradients.py",)
 ON_NORMALS = ("contacts/test_surface_cones.py", "contacts/test_normals.py")
+ON_SAME_SURFACES = ("search/test_search_of_approaching.py::test_normals_of_contacts_with_the_same_surfaces",)
+ON_BOUNDS = ("contacts/test_recession.py::test_rows_that_name_no_features",)
 
 
-def _mutant(name: str, file: str, old: str, new: str, within: str = "", equivalent: str = "") -> Mutant:
-    killed_by = {APPROACH: ON_APPROACH, SEARCH: ON_SEARCH}.get(file, ON_NORMALS)
-    return Mutant(name, file, old, new, killed_by, within, equivalent, switched=False)
+def _rate(name: str, file: str, old: str, new: str, killed_by: tuple[str, ...] = ON_APPROACH) -> Mutant:
+    return Mutant(f"rate-{name}", file, old, new, killed_by)
+
+
+def _python(name: str, file: str, old: str, new: str, killed_by: tuple[str, ...]) -> Mutant:
+    return Mutant(name, file, old, new, killed_by, switched=False)
+
+
+def _recedes(name: str, old: str, new: str, within: str = "", file: str = RECESSION, equivalent: str = "") -> Mutant:
+    return Mutant(f"recedes-{name}", file, old, new, ON_RECESSION, within, equivalent)
+
+
+def _normals(
+    name: str, old: str, new: str, within: str = "", killed_by: tuple[str, ...] = ON_NORMALS, file: str = SURFACE
+) -> Mutant:
+    return Mutant(f"normals-{name}", file, old, new, killed_by, within)
 
 
 MUTANTS = [
-    Mutant("edge-in-face-at-face-coordinates", SITES, "if len(rows) == 0:", "if True:", ON_APPROACH, switched=False),
-    _mutant("rate-sign", APPROACH, "rate = -dot(normal, ", "rate = dot(normal, "),
-    _mutant("rate-reversed", APPROACH, "torch.where(is_reversed, -rate, rate)", "rate"),
-    Mutant(
-        "rate-of-one-body",
-        SITES,
-        "(self._of_nearest(1, self._rates) - self._of_nearest(0, self._rates))",
-        "self._of_nearest(1, self._rates)",
-        ON_APPROACH,
-        switched=False,
+    _rate("sign", ROWS, "-dot_of(normal, site.velocity())", "dot_of(normal, site.velocity())"),
+    _rate("reversed", ROWS, "is_reversed[row] != 0 ? -closing : closing", "closing"),
+    _rate("reversed-in-faces", ROWS, "site.kind <= kKindEE && site.is_reversed(normal)", "site.is_reversed(normal)"),
+    _rate("of-one-body", SITE, "(rate[1] - rate[0])", "rate[1]"),
+    _rate(
+        "turns-back",
+        SITE,
+        "load_vec3(paths->rotation + 3 * body[side])",
+        "-load_vec3(paths->rotation + 3 * body[side])",
     ),
-    Mutant(
-        "rate-turns-back",
-        SITES,
-        "return cross(rotation, self.arms(side, owner, vertex))",
-        "return -cross(rotation, self.arms(side, owner, vertex))",
-        ON_APPROACH,
-        switched=False,
-    ),
-    Mutant(
-        "rate-gradient-of-one-body",
-        APPROACH,
-        "(speed[:, 1] - speed[:, 0])",
-        "speed[:, 1]",
-        ON_GRADIENTS,
-        switched=False,
-    ),
-    Mutant(
+    _rate("of-edge-in-face-at-face-coordinates", SITE, "kind != kKindEFAB + side", "true"),
+    _rate("of-others", ROWS, "length_of(0.5 * arms)", "0.0 * length_of(arms)"),
+    _python("rate-gradient-of-one-body", APPROACH, "(speed[:, 1] - speed[:, 0])", "speed[:, 1]", ON_GRADIENTS),
+    _python(
         "rate-gradient-at-the-first-corner",
         APPROACH,
         "(weights[:, :, :, None] * velocity).sum(2)",
         "velocity[:, :, 0]",
         ON_GRADIENTS,
-        switched=False,
     ),
-    Mutant(
+    _python(
         "rate-gradient-between-edges",
         APPROACH,
         "torch.stack([1.0 - v, zero, v], 1)",
         "torch.stack([1.0 - v, v, zero], 1)",
         ON_GRADIENTS,
-        switched=False,
     ),
-    Mutant(
+    _python(
         "rate-gradient-turns-back",
         "pgccd/contacts/gradients.py",
         "travel + torch.linalg.cross(rotation.expand_as(arm), arm)",
         "travel - torch.linalg.cross(rotation.expand_as(arm), arm)",
         ON_GRADIENTS,
-        switched=False,
     ),
-    _mutant("recedes-slack-1.001", APPROACH, "needed = gap - slack", "needed = gap - 1.001 * slack"),
-    _mutant("recedes-gap-0.999", APPROACH, "needed = gap - slack", "needed = 0.999 * gap - slack"),
-    _mutant("recedes-at-toi-only", APPROACH, "torch.minimum(*gaps)", "gaps[0]"),
-    _mutant("recedes-beyond-the-step", APPROACH, "(self.toi[:, None], 1.0):", "(self.toi[:, None], 1.0001):"),
-    _mutant("recedes-before-the-end", APPROACH, "(self.toi[:, None], 1.0):", "(self.toi[:, None], 0.9999):"),
-    _mutant(
-        "recedes-beyond-the-step-on-arcs",
-        APPROACH,
-        "toi + (1.0 - toi) * torch.linspace",
-        "toi + 1.0001 * (1.0 - toi) * torch.linspace",
+    *(
+        Mutant(f"contacts-{name}", SITE, old, "false", ON_BOUNDS)
+        for name, old in (
+            ("of-no-kind", "kind < 0 || kind >= kKinds"),
+            ("of-no-body", "!is_within(body, paths.count)"),
+            ("of-no-feature", "!is_within(feature, count)"),
+        )
     ),
-    _mutant(  # not by 0.9999: `may_stay` looks at the very end too
-        "recedes-before-the-end-on-arcs",
-        APPROACH,
-        "toi + (1.0 - toi) * torch.linspace",
-        "toi + 0.9 * (1.0 - toi) * torch.linspace",
+    _recedes("slack-1.001", "gap_ - slack_", "gap_ - 1.001 * slack_", "needed = gap_ - slack_;\n    const CornersAt"),
+    _recedes("gap-0.999", "gap_ - slack_", "0.999 * gap_ - slack_", "needed = gap_ - slack_;\n    const CornersAt"),
+    _recedes(
+        "at-toi-only",
+        "start + change + (b_last.lowest() - a_last.highest()) - error >= needed",
+        "a_last.highest() < INFINITY",
     ),
-    _mutant("recedes-unresolved", APPROACH, "(status == Status.TOUCH) & (sites.kind", "(sites.kind"),
-    _mutant(
-        "recedes-intersecting",
-        APPROACH,
-        "(status == Status.TOUCH) & (sites.kind <= Kind.EE)",
-        "(status == Status.TOUCH)",
+    _recedes("before-the-end", "start + change", "start + 0.9999 * change", "return start + change + (b_last"),
+    _recedes("beyond-the-step", "start + change", "start + 1.0001 * change", "return start + change + (b_last"),
+    _recedes("before-the-end-on-lines", "1.0", "0.9999", "b_last = CornersAt::of(b, {}, 1.0)"),
+    _recedes(
+        "beyond-the-step-on-arcs",
+        "(static_cast<double>(window) / contacts_detail::kWindows)",
+        "(1.0001 * static_cast<double>(window) / contacts_detail::kWindows)",
     ),
-    _mutant("recedes-some-faces", APPROACH, '"amin", 1.0) > 0.0', '"amax", 1.0) > 0.0'),
-    _mutant(
-        "recedes-faces-of-one",
-        APPROACH,
-        "for side in (0, 1):\n        place, face =",
-        "for side in (0,):\n        place, face =",
+    _recedes(
+        "before-the-end-on-arcs",
+        "(static_cast<double>(window) / contacts_detail::kWindows)",
+        "(0.9999 * static_cast<double>(window) / contacts_detail::kWindows)",
     ),
-    _mutant(
-        "recedes-no-surface-gap",
-        APPROACH,
-        "gap = torch.minimum(gap, torch.minimum(",
-        "_ = torch.minimum(gap, torch.minimum(",
+    _recedes("no-error", "kRounding * size", "0.0 * size"),
+    _recedes("error-of-one", "sets.other.size(angle_[1])", "0.0"),
+    _recedes("unresolved", "status[row] != kTouch", "false", file=ROWS),
+    _recedes(
+        "intersecting",
+        "given.contacts.kind[row] > kKindEE",
+        "false",
+        "status[row] != kTouch || given.contacts.kind[row] > kKindEE",
+        ROWS,
     ),
-    _mutant(
-        "recedes-from-the-other-side",
-        APPROACH,
-        "(dot(directions, offset[place][:, None]) >= -noise[place][:, None])",
-        "(norm(directions) > 0.0)",
+    _recedes("larger-slack", "smaller(slack[site.body[0]], slack[site.body[1]])", "slack[site.body[1]]", file=ROWS),
+    _recedes(
+        "some-faces",
+        "!stay_along_some(sets, side, face, beside)",
+        "f == 0 && !stay_along_some(sets, side, face, beside)",
     ),
-    _mutant("recedes-one-sided", APPROACH, "stays[came] = is_sided | ", "stays[came] = is_sided | ~is_sided | "),
-    Mutant(
-        "recedes-roughly", APPROACH, "(needed - _ROUGHLY * size)", "(needed - 0.0 * size)", ON_WOULD, switched=False
+    _recedes("faces-of-one", "feature.what == kFace", "feature.what == kFace || side == 1"),
+    _recedes(
+        "without-surfaces",
+        "smaller(gap_, smaller(height_above(surfaces, 0, of_surface), height_above(surfaces, 1, of_surface)))",
+        "gap_",
     ),
-    Mutant(
-        "recedes-some-of-its-time",
-        APPROACH,
-        "self.toi + part * (1.0 - self.toi)",
-        "self.toi + 0.5 * part",
-        ON_WOULD,
-        switched=False,
+    _recedes("height-anywhere", "is_over && dot_of(inward, point - corner[k]) >= 0.0", "is_over"),
+    _recedes("height-of-any-face", "length_of(cross(unit_or_zero(across), of_surface)) > kParallel", "false"),
+    _recedes("from-the-other-side", "!(dot_of(direction, site_.offset) >= -site_.noise)", "false"),
+    _recedes("one-sided", "is_sided || stay(sets, -along)", "true"),
+    _recedes("never-slides", "magnitude(closing) <= kSliding * length_of(velocity_)", "false"),
+    _recedes("slides-on-either-side", "!(apart_at_toi(sets, -along) >= -slack_)", "true"),
+    _recedes("at-toi-as-before", "is_apart_ || !(site_.toi > 0.0)", "true"),
+    _recedes("chord", "larger(high, 0.0)", "0.0 * high"),
+    _recedes("chord-0.99", "larger(high, 0.0) * length", "0.99 * larger(high, 0.0) * length"),
+    _recedes("chord-of-all", "of_b.highest() - of_a.lowest()", "of_b.lowest() - of_a.highest()"),
+    _recedes("tangent", "0.5 * low * bottom", "0.5 * (of_b.high[m] - of_a.low[k]) * bottom"),
+    _recedes("tangent-slope", "of_b.rate[m] - of_a.rate[k]", "of_b.rate[m]"),
+    _recedes(
+        "curvature", "square * radius * length * length / 8.0", "0.0 * square * radius * length * length", file=CORNERS
     ),
-    _mutant("recedes-chord", APPROACH, "high.clamp(min=0.0) * length", "0.0 * high * length"),
-    _mutant("recedes-chord-0.99", APPROACH, "length * length / 8.0", "0.99 * length * length / 8.0"),
-    _mutant("recedes-tangent", APPROACH, "0.5 * low * bottom", "0.5 * high * bottom"),
-    _mutant(
-        "recedes-curvature",
-        APPROACH,
-        "stray = square * radius * step * step / 8.0",
-        "stray = 0.0 * square * radius * step * step",
+    _recedes(
+        "curvature-of-circles",
+        "-square * larger(least, -radius)",
+        "-square * larger(least, -0.5 * radius)",
+        file=CORNERS,
     ),
-    _mutant(
-        "recedes-turns-back", APPROACH, "across, cross(axis, across), angle", "across, -cross(axis, across), angle"
+    _recedes("turns-back", "cross(axis, corners.first[k])", "cross(corners.first[k], axis)"),
+    _recedes("no-turn", "at.start - corners.constant[k]", "0.0 * (at.start - corners.constant[k])"),
+    _recedes("centre-stays", "start + change * time", "start + 0.0 * change * time", "last = start + change * time;"),
+    _recedes("first-window-only", "begin < kWindows", "begin < wide"),
+    _recedes(
+        "nearest-points-elsewhere",
+        "rotate(spin, turn, site_.nearest[side])",
+        "site_.nearest[side]",
     ),
-    _mutant(
-        "recedes-no-turn",
-        APPROACH,
-        "return cls(fixed, zero, across,",
-        "return cls(fixed, zero, 0.0 * across,",
-    ),
-    _mutant(
-        "recedes-centre-stays",
-        APPROACH,
-        "gap = start + change * time + (at_b",
-        "gap = start + 0.0 * change * time + (at_b",
-    ),
-    _mutant(
-        "approaching-first-batch-only",
+    _python("approaching-first-window-only", SEARCH, "left = left[until[left] < 1.0]", "left = left[:0]", ON_SEARCH),
+    _python(
+        "approaching-in-any-order",
         SEARCH,
-        "open_pairs[(at < torch.minimum(first, last))[open_pairs]]",
-        "open_pairs[:0]",
+        "earliest_of_each(place[rows], count, contacts.toi[rows])",
+        "earliest_of_each(place[rows], count)",
+        ON_SEARCH,
     ),
-    _mutant("approaching-first-window-only", SEARCH, "left = left[until[left] < 1.0]", "left = left[:0]"),
-    _mutant(
-        "approaching-in-any-order", SEARCH, "order = order[torch.argsort(contacts.toi[order], stable=True)]", "pass"
+    _python(
+        "approaching-known-to-recede", SEARCH, "early & (count == receding[chosen])[place]", "early | ~early", ON_SEARCH
     ),
-    _mutant("approaching-any-segment", SEARCH, "len(found), segment, found.toi", "len(found), found.toi"),
-    _mutant("approaching-one-segment", SEARCH, "low, number = low + number, 2 * number", "low = len(order)"),
-    _mutant(
-        "normals-kept",
-        NORMALS,
-        "is_changed = ~is_kept & (first < len(owner))",
-        "is_changed = is_kept & ~is_kept & (first < len(owner))",
+    _python(
+        "approaching-until-the-first-known", SEARCH, "(contacts.toi <= first[place])", "(contacts.toi < 0.0)", ON_SEARCH
     ),
-    _mutant("normals-clamped", NORMALS, "is_changed = ~is_kept & (first", "is_changed = (is_kept | ~is_kept) & (first"),
-    _mutant(
-        "normals-farthest",
-        NORMALS,
-        "nearness = torch.where(usable, dot(normal[owner], candidates)",
-        "nearness = torch.where(usable, -dot(normal[owner], candidates)",
+    _python("approaching-any-segment", SEARCH, "len(found), segment, found.toi", "len(found), found.toi", ON_SEARCH),
+    _python("approaching-one-segment", SEARCH, "low, number = low + number, 2 * number", "low = len(order)", ON_SEARCH),
+    _normals("kept", "admits(normal)", "is_nonzero(normal)", "if (admits(normal)) return"),
+    _normals("clamped", "admits(normal)", "false", "if (admits(normal)) return"),
+    _normals("farthest", "dot_of(normal, candidate)", "-dot_of(normal, candidate)"),
+    _normals("all-convex", "dot_of(normal, of_apex) < -kFlat * distance", "dot_of(normal, of_apex) < INFINITY"),
+    _normals("flat-is-convex", "-kFlat * distance", "kFlat * distance"),
+    _normals(
+        "concave-is-convex",
+        "dot_of(normal, of_apex) < -kFlat * distance",
+        "magnitude(dot_of(normal, of_apex)) > kFlat * distance",
     ),
-    _mutant(
-        "normals-all-convex",
-        NORMALS,
-        "(dot(normal, of_apex) < -_FLAT * distance)",
-        "(dot(normal, of_apex) < torch.inf)",
+    _normals("none-convex", "count == 1 || dot_of(normal, of_apex) < -kFlat * distance", "count < 0"),
+    _normals("rims-not-convex", "count == 1", "false", "count == 1 || dot_of(normal"),
+    _normals("fins-convex", "count > 2", "count > 3"),
+    _normals("no-edges", "is_behind(out, edge.apex[1]) && is_nonzero(across)", "false"),
+    _normals("sound-anyway", "is_behind(out, edge.apex[0]) && is_behind(out, edge.apex[1])", "true"),
+    _normals("sound-of-one-face", "is_behind(out, edge.apex[1])", "true"),
+    _normals("behind-anyway", "!is_behind(out, faces[f].away[k])", "false"),
+    _normals("no-faces", "is_nonzero(faces[f].normal)", "false"),
+    _normals("side", "sign_of(height)", "-sign_of(height)"),
+    _normals("noise", "magnitude(height) > noise", "magnitude(height) > 0.0", "magnitude(height) > noise ? sign"),
+    _normals("no-noise", "is_apart ? site.noise : 0.0", "0.0"),
+    _normals("guessed-for-all", "is_guessed && !have_equal_bits(given, of_features)", "false", "", ON_SAME_SURFACES),
+    _normals("of-any-place", "!(at == place)", "false", "", ON_SAME_SURFACES),
+    _normals("no-reach", "reach > kOneSided * back ? 1.0 : 0.0", "0.0"),
+    _normals("no-solid", "sign == 0.0", "false", "if (sign == 0.0) sign = solid;"),
+    _normals("beside", "over != 0.0 && solid != 0.0", "false"),
+    _normals("over-all", "is_elsewhere || dot_of(inward, towards) >= 0.0", "true"),
+    _normals("no-partner", "magnitude(facing) > 0.5", "magnitude(facing) > 2.0"),
+    _normals("outside", "side == 1 ? -1.0 : 1.0", "1.0"),
+    _normals("reversed", "site.is_reversed(given)", "false"),
+    _normals("parallel", "-unit_or_zero(site.velocity())", "unit_or_zero(site.velocity())"),
+    _normals("last", "one.edge_count == 0", "one.edge_count > 0", "one.edge_count == 0 && other"),
+    _normals("last-of-a-face", "one.support.what == kFace", "false", "last_is_one = one.support.what == kFace"),
+    _normals("last-of-the-second-face", "other.support.what != kFace", "true"),
+    _normals(
+        "last-of-the-smaller-face",
+        "one.largest_face() > other.largest_face()",
+        "one.largest_face() < other.largest_face()",
     ),
-    _mutant("normals-flat-is-convex", NORMALS, "< -_FLAT * distance", "< _FLAT * distance"),
-    _mutant(
-        "normals-concave-is-convex",
-        NORMALS,
-        "(dot(normal, of_apex) < -_FLAT * distance)",
-        "(dot(normal, of_apex).abs() > _FLAT * distance)",
-    ),
-    _mutant(
-        "normals-none-convex", NORMALS, "is_convex & (count <= 2) & (norm(along) > 0.0)", "is_convex & (count < 0)"
-    ),
-    _mutant(
-        "normals-no-edges",
-        NORMALS,
-        "usable = torch.cat([norm(self.normals) > 0.0, is_sound])",
-        "usable = torch.cat([norm(self.normals) > 0.0, is_sound & ~is_sound])",
-    ),
-    _mutant(
-        "normals-sound-anyway",
-        NORMALS,
-        "is_sound = _is_behind(outside * across[:, None], self.edge_away).all(1) & ",
-        "is_sound = ",
-    ),
-    _mutant(
-        "normals-behind-anyway",
-        NORMALS,
-        "behind = _is_behind(outside * normal[self.owner][:, None], self.away).all(1)",
-        "behind = norm(self.normals) >= 0.0",
-    ),
-    _mutant(
-        "normals-no-faces",
-        NORMALS,
-        "usable = torch.cat([norm(self.normals) > 0.0, is_sound])",
-        "usable = torch.cat([norm(self.normals) > 9.0, is_sound])",
-    ),
-    _mutant(
-        "normals-side",
-        NORMALS,
-        "sign = torch.where(height.abs() > noise[owner], torch.sign(height), 0.0)",
-        "sign = torch.where(height.abs() > noise[owner], -torch.sign(height), 0.0)",
-    ),
-    _mutant("normals-noise", NORMALS, "height.abs() > noise[owner]", "height.abs() > 0.0 * noise[owner]"),
-    _mutant(
-        "normals-no-noise",
-        NORMALS,
-        "torch.where(apart[:, None], offset, 0.0), torch.where(apart, noise, 0.0)",
-        "offset, 0.0 * noise",
-    ),
-    Mutant(
-        "normals-guessed-for-all",
-        NORMALS,
-        "~(one.is_guessed | other.is_guessed)[group]",
-        "(group >= 0)",
-        ("search/test_search_of_approaching.py::test_normals_of_contacts_with_the_same_surfaces",),
-        switched=False,
-    ),
-    _mutant("normals-no-reach", NORMALS, "is_above.double() - is_below.double()", "0.0 * is_above.double()"),
-    _mutant("normals-no-solid", NORMALS, "sign = torch.where(sign == 0.0, solid, sign)", "_ = solid"),
-    _mutant("normals-beside", NORMALS, "sign = torch.where((over != 0.0) & (solid != 0.0), over, sign)", "_ = over"),
-    _mutant("normals-over-all", NORMALS, "is_elsewhere | (dot(inward, point) >= 0.0)", "is_elsewhere | ~is_elsewhere"),
-    _mutant("normals-no-partner", NORMALS, "facing.abs() > 0.5", "facing.abs() > 2.0"),
-    _mutant("normals-outside", NORMALS, "outside = -1.0 if own.side == 1 else 1.0", "outside = 1.0"),
-    _mutant("normals-reversed", NORMALS, "torch.where(some.is_reversed(normal)[:, None], -normal, normal)", "normal"),
-    _mutant(
-        "normals-parallel", NORMALS, "normal, -unit_or_zero(some.velocity())", "normal, unit_or_zero(some.velocity())"
-    ),
-    _mutant("normals-last", NORMALS, "one.is_rigid & (~other.is_rigid | is_larger)", "~one.is_rigid"),
-    _mutant("normals-last-of-a-face", NORMALS, "last_is_one | (sides[0].what == FACE)", "last_is_one"),
-    _mutant("normals-last-of-the-second-face", NORMALS, " & (sides[1].what != FACE)\n", "\n"),
-    _mutant("normals-last-of-the-smaller-face", NORMALS, "one.largest_face() > other", "one.largest_face() < other"),
-    _mutant("normals-of-vertices-features", NORMALS, "coincide & one.admits(mean)", "~coincide & one.admits(mean)"),
-    _mutant("normals-of-vertices-unweighted", NORMALS, "weight[:, None] * self.normals", "self.normals"),
-    _mutant("normals-of-vertices-beside", NORMALS, "corners, 0.0)", "corners, corners)"),
+    _normals("of-vertices-features", "one.admits(mean) && other.admits(mean)", "false"),
+    _normals("of-vertices-unweighted", "(weight(faces[f]) / (largest > 0.0 ? largest : 1.0))", "1.0"),
+    _normals("of-vertices-beside", "!(length[k] > kAtCorner * longest)", "false"),
 ]
