@@ -233,7 +233,7 @@ class World(OwnBodies):
             >>> world.save("out/world")
         """
         self.finish_saving()
-        written, self._saving = save_state(self.comm, folder, self._state, keep, header)
+        written, self._saving = save_state(self.comm, folder, self._state, keep, header, wait)
         if wait:
             self.finish_saving()
         return written
