@@ -303,7 +303,7 @@ def calls(folder: Path) -> dict[str, Call]:
         "distributed.World.add": Call(world.add, added, dict.fromkeys(added, ("id",))),
         "distributed.World.remove": Call(world.remove, {"ids": torch.tensor([1])}),
         "distributed.World.move": Call(world.move, {"position": motion.position_t0, "v": torch.ones(2, 3)}),
-        "distributed.World.save": Call(world.save, {"folder": folder / "saved", "keep": 2}),
+        "distributed.World.save": Call(world.save, {"folder": folder / "saved", "keep": 2, "header": {}, "wait": True}),
         "distributed.World.load": Call(
             distributed.World.load,
             {"folder": folder / "saved", "meshes": [mesh], "device": "cpu", "options": distributed.WorldOptions()},

@@ -1,5 +1,6 @@
 """Which faces and edges of meshes meet."""
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -38,10 +39,10 @@ def incidence(vertices: Tensor, faces: Tensor, edges: Tensor, offsets: Tensor) -
     is_solid = (lists[2][0].diff() == 2) & (balance == 0)
     open_edges = torch.zeros(len(counts), dtype=torch.int64).index_add(0, mesh_of_edge, (~is_solid).long())
     corners = vertices[faces] - vertices[first_vertex[mesh_of_face]][:, None]
-    a, b, c = corners.unbind(1)
-    volume = (a * torch.linalg.cross(b, c)).sum(1)
-    volumes = torch.zeros(len(counts), dtype=torch.float64).index_add(0, mesh_of_face, volume)
-    outward = torch.where(open_edges == 0, torch.sign(volumes), torch.zeros_like(volumes))
+    # NumPy adds in order, on any number of threads.
+    a, b, c = corners.numpy().swapaxes(0, 1)
+    volumes = np.bincount(mesh_of_face.numpy(), (a * np.cross(b, c)).sum(1), minlength=len(counts))
+    outward = torch.where(open_edges == 0, torch.from_numpy(np.sign(volumes)), 0.0)
     most = max(int(begin.diff().amax()) for begin, _ in lists)
     return [face_edges, *(column for columns in lists for column in columns), outward], most
 

@@ -131,7 +131,7 @@ class MovingBodies:
         """`centre_t0`, `centre_t1` and `reach`."""
         return self.centre_t0, self.centre_t1, self.reach
 
-    def swept(self, in_other_search: Tensor | None = None) -> ops.Swept:
+    def _swept(self, in_other_search: Tensor | None = None) -> ops.Swept:
         """The operators' `swept` argument: swept spheres, filters and boxes.
 
         Args:

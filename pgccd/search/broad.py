@@ -168,7 +168,7 @@ def find_pairs_padded(
     own = 0 if bodies.scene.self_collision is None else len(bodies._self_colliding)
     pair_capacity, *rest = capacity.of_pairs
     pairs, counts = ops.pairs_padded(
-        bodies.swept(in_other_search),
+        bodies._swept(in_other_search),
         invalid,
         *_lengths(min_separation, tolerance),
         number,
@@ -226,7 +226,7 @@ def find_pairs_of_checked(
     `find_pairs_padded`.
     """
     lengths, number = _lengths(min_separation, tolerance), BROAD_PHASE_NUMBERS[chosen]
-    pairs = ops.broad_pairs(bodies.swept(in_other_search), *lengths, number, axis, at_any_times)
+    pairs = ops.broad_pairs(bodies._swept(in_other_search), *lengths, number, axis, at_any_times)
     pairs = with_self_pairs(bodies, pairs)
     return pairs if bodies.scene.exclude is None else pairs[_is_tested(bodies, pairs)]
 
@@ -243,7 +243,7 @@ def meeting_pairs(
     Returns:
         (P, 2) int64, the PCS in the same order, then rows of -1; and its number (1,) int64.
     """
-    return ops.meeting_pairs(pairs, bodies.swept(), *_lengths(min_separation, tolerance))
+    return ops.meeting_pairs(pairs, bodies._swept(), *_lengths(min_separation, tolerance))
 
 
 def with_self_pairs(bodies: MovingBodies, pairs: Tensor) -> Tensor:

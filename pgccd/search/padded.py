@@ -163,7 +163,7 @@ def search_rigid(
         bodies.scene.meshes.tensors,
         bodies.tensors,
         bodies.linear_path,
-        bodies.swept(),
+        bodies._swept(),
         bodies._first_invalid_rows(),
         marks_invalid,
         *query.lengths,

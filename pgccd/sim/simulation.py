@@ -361,7 +361,7 @@ class Simulation(RankSteps[Step, CommittedStep, StepGraph]):
 def starting_partition(comm: Comm, model: Model, options: RankOptions, former: str | None = None) -> Partition:
     """The partition of space at the start; `former` is the kind of that in the checkpoint, if there is one."""
     x, y, z = model.half_extent
-    return options.cut((-x, -y, -z), (x, y, z)).uniform(comm.size, model.device, options.balance, former)
+    return options._cut((-x, -y, -z), (x, y, z)).uniform(comm.size, model.device, options.balance, former)
 
 
 def starting_share(comm: Comm, model: Model) -> RobotState:

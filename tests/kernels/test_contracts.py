@@ -80,11 +80,15 @@ def test_numbers_of_enumerators(header: str, constant: str, names: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("constant", "value"),
-    [("kLargestCoordinate", LARGEST_COORDINATE), ("kUnitTolerance", UNIT_TOLERANCE), ("kLargestTurn", LARGEST_TURN)],
+    ("header", "constant", "value"),
+    [
+        ("core/paths.h", "kLargestCoordinate", LARGEST_COORDINATE),
+        ("kernels/bounds/validation.h", "kUnitTolerance", UNIT_TOLERANCE),
+        ("kernels/bounds/validation.h", "kLargestTurn", LARGEST_TURN),
+    ],
 )
-def test_limits_of_columns(constant: str, value: float) -> None:
-    found = re.search(rf"\b{constant} = ([\d.e-]+);", (CSRC / "kernels/bounds/validation.h").read_text())
+def test_limits_of_columns(header: str, constant: str, value: float) -> None:
+    found = re.search(rf"\b{constant} = ([\d.e-]+);", (CSRC / header).read_text())
     assert found is not None and float(found[1]) == value
 
 

@@ -39,7 +39,7 @@ class RankOptions:
     overlap: bool = True
     broad_phase: broad.BroadPhase = "auto"
 
-    def cut(self, lower: Point, upper: Point) -> Cut:
+    def _cut(self, lower: Point, upper: Point) -> Cut:
         """The partition of a box at the start."""
         return Cut(self.partition, lower, upper, self.axes, self.cells)
 

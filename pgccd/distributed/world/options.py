@@ -40,7 +40,7 @@ class WorldOptions(RankOptions):
     initial: Initial = "report"
     path: PathKind = "rigid"
 
-    def search(self, exclude: Tensor | None) -> SearchOptions:
+    def _search(self, exclude: Tensor | None) -> SearchOptions:
         """The options of a search that leaves out pairs (E, 2) of ids."""
         lengths = self.min_separation, self.tolerance
         search = SearchOptions(self.report, *lengths, self.nonzero_toi, self.broad_phase, self.overlap, self.initial)
@@ -54,7 +54,7 @@ def options_given(comm: Comm, options: WorldOptions | None) -> WorldOptions:
         given = WorldOptions() if options is None else options
         if not isinstance(given, WorldOptions):
             raise TypeError(f"options: expected WorldOptions, got {arguments.describe(given)}")
-        given.search(None).check()
+        given._search(None).check()
         arguments.choice(given.path, "path", PATHS)
         return given
 

@@ -94,7 +94,7 @@ class World(OwnBodies):
         )
 
     def _set(self, comm: Comm, options: WorldOptions, state: WorldState, checksum: IdChecksum) -> None:
-        self.comm, self.options, self._search_options = comm, options, options.search(state.exclude)
+        self.comm, self.options, self._search_options = comm, options, options._search(state.exclude)
         self._rank = Rank(Decomposition(comm, state.partition), options.balance)
         self.meshes, self._cut, self.id_checksum = state.meshes, state.cut, checksum
         self.found: Share | None = None
@@ -142,7 +142,7 @@ class World(OwnBodies):
         comm = comm or Alone()
         options = options_given(comm, options)
         bodies = NewBodies(scene, position, id, exclude, payload, vertex_payload)
-        cut = options.cut(lower, upper)
+        cut = options._cut(lower, upper)
         state = together(comm, lambda: state_given(comm.size, bodies, cut, options.balance))
         require_alike(comm, state, options, id is not None)
         state = state.with_ids(comm, id is not None)
@@ -233,7 +233,7 @@ class World(OwnBodies):
             >>> world.save("out/world")
         """
         self.finish_saving()
-        written, self._saving = save_state(self.comm, folder, self._state, keep, header)
+        written, self._saving = save_state(self.comm, folder, self._state, keep, header, wait)
         if wait:
             self.finish_saving()
         return written
@@ -550,7 +550,7 @@ class World(OwnBodies):
         """Takes the bodies of another state."""
         self.columns, self._vertices, self.next_id = state.columns, state.vertices, state.next_id
         if state.exclude is not self.exclude:
-            self._search_options = self.options.search(state.exclude)
+            self._search_options = self.options._search(state.exclude)
         self._scene = None
         self.id_checksum = IdChecksum.of_ranks(self.comm, self.id)
         self._migrate()

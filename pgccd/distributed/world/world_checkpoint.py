@@ -58,12 +58,12 @@ class Saving:
 
 
 def save_state(
-    comm: Comm, folder: str | PathLike[str], state: WorldState, keep: int, header: Mapping[str, Any] | None
+    comm: Comm, folder: str | PathLike[str], state: WorldState, keep: int, header: Mapping[str, Any] | None, wait: bool
 ) -> tuple[Path, Saving]:
     """Starts to write a checkpoint, which becomes the newest one in a folder; see `World.save`. Returns its folder."""
     root = _folder_given(comm, folder)
-    keep, plain = together(comm, lambda: (checked_keep(keep), _plain(header)))
-    require_agreement(comm, {"keep": keep, "header": plain})
+    keep, plain, wait = together(comm, lambda: (checked_keep(keep), _plain(header), arguments.flag(wait, "wait")))
+    require_agreement(comm, {"keep": keep, "header": plain, "wait": wait})
     tables = {_BODIES: state.columns}
     if state.vertices is not None:
         tables[_VERTICES] = state.vertices.columns
