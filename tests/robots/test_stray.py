@@ -183,9 +183,7 @@ def errors_and_bounds(arm: Arm, robot: Robot, q: np.ndarray) -> tuple[np.ndarray
     errors, reaches = [], [mesh.reach for mesh in robot.meshes]
     with mpmath.workdps(40):
         values = values_of(arm, q.tolist())
-        for link, position, turn, reach in zip(
-            robot.body_link.tolist(), x, r, [mesh.reach for mesh in robot.meshes], strict=True
-        ):
+        for link, position, turn, reach in zip(robot.body_link.tolist(), x, r, reaches, strict=True):
             rotation, exact = exact_frame(arm, int(robot.link_names[link].removeprefix("link")), values)
             w, a, b, c = (mpmath.mpf(part) for part in turn)
             found = mpmath.matrix(
