@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -265,6 +266,10 @@ def test_bits_are_the_same_on_a_gpu(path: str) -> None:
     assert runs_of(found[0].touching) == runs_of(found[1].touching)
 
 
+def in_windows_of(rows: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(windows, "_ROWS", rows)
+
+
 @pytest.mark.parametrize("rows", [1, 30, 64, 1000])
 def test_windows_do_not_change_the_result(rows: int, monkeypatch: pytest.MonkeyPatch) -> None:
     rollout = tumbling(np.random.default_rng(1), 12, 9, 2.0)
@@ -274,7 +279,7 @@ def test_windows_do_not_change_the_result(rows: int, monkeypatch: pytest.MonkeyP
     whole = pgccd.audit(scene, trajectory)
     assert len(whole.passages) > 10 and len(whole.enclosed) > 0 and len(whole.touching) > 10
     assert any(last - first > 2 for *_, first, last in runs_of(whole.touching))
-    monkeypatch.setattr(windows, "_ROWS", rows)
+    in_windows_of(rows, monkeypatch)
     assert same(pgccd.audit(scene, trajectory), whole)
     assert same(pgccd.audit(scene, zip(trajectory.position, trajectory.orientation, strict=True)), whole)
     # A simulator writes every frame to the same memory.
@@ -289,8 +294,8 @@ def test_windows_do_not_change_the_result(rows: int, monkeypatch: pytest.MonkeyP
 
 
 def test_frames_are_held_a_window_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(windows, "_ROWS", 2 * 10)
-    made, most, take = 0, 0, auditing._Auditor.take
+    in_windows_of(2 * 10, monkeypatch)
+    made, most, segments = 0, 0, 0
     along = torch.linspace(0.0, 1.0, 500, dtype=torch.float64)
 
     def frames() -> Iterator[tuple[torch.Tensor, torch.Tensor]]:
@@ -299,12 +304,14 @@ def test_frames_are_held_a_window_at_a_time(monkeypatch: pytest.MonkeyPatch) -> 
             made += 1
             yield torch.tensor([[0.0, 0.0, 0.0], [0.3, 0.2, 1.0 + shift]], dtype=torch.float64), UPRIGHT.expand(2, 4)
 
-    def watched(self: auditing._Auditor, part: pgccd.Trajectory) -> None:
-        nonlocal most
-        most = max(most, made - self.segments, len(part.position))
-        take(self, part)
+    def watched(*given: Any) -> Iterator[pgccd.Trajectory]:
+        nonlocal most, segments
+        for part in windows.windows(*given):
+            most = max(most, made - segments, len(part.position))
+            yield part
+            segments += part.segment_count
 
-    monkeypatch.setattr(auditing._Auditor, "take", watched)
+    monkeypatch.setattr(auditing, "windows", watched)
     assert pgccd.audit(plate_and_dart(), frames()).frames == 500
     assert most == 11
 
@@ -312,13 +319,12 @@ def test_frames_are_held_a_window_at_a_time(monkeypatch: pytest.MonkeyPatch) -> 
 def test_deepest_segments_are_kept_for_a_picture(tmp_path: object, monkeypatch: pytest.MonkeyPatch) -> None:
     rollout = tumbling(np.random.default_rng(3), 12, 30, 3.0)
     scene, trajectory = rollout.scene(), rollout.trajectory()
-    monkeypatch.setattr(windows, "_ROWS", 50)
+    in_windows_of(50, monkeypatch)
     found = pgccd.audit(scene, trajectory, keep=5)
     deepest = {}
     for segment, measure in zip(found.passages.segment.tolist(), found.passages.measure.tolist(), strict=True):
         deepest[segment] = max(measure, deepest.get(segment, 0.0))
     expected = sorted(sorted(deepest, key=lambda segment: -deepest[segment])[:5])
-    assert [segment for segment, _ in found._kept] == expected
     motions, contacts = found.steps()
     for segment, motion, hits in zip(expected, motions, contacts, strict=True):
         assert isinstance(motion, pgccd.RigidMotion)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 from oracle.arms import Arm, Part
-from support.arms import UPRIGHT, beams, loaded, random_arm
+from support.arms import UPRIGHT, beams, chains_of, loaded, random_arm
 
 import pgccd
 from pgccd.robots.kinematics import quaternion_of
@@ -148,9 +148,8 @@ def test_few_configurations_have_the_poses_of_many(seed: int, tmp_path: Path) ->
     rng = np.random.default_rng(seed)
     robot = loaded(random_arm(rng, 6), tmp_path)
     q = torch.tensor(rng.uniform(-3.0, 3.0, (100, robot.joint_count)))
-    many = robot._tree.forward(q)
-    for column, few in zip(vars(many).values(), vars(robot._tree.forward(q[:7])).values(), strict=True):
-        assert torch.equal(column[:, :7], few)
+    for many, few in zip(robot.poses(q), robot.poses(q[:7]), strict=True):
+        assert torch.equal(many[:7], few)
 
 
 def test_long_turns_are_split_into_equal_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -178,5 +177,5 @@ def test_long_turns_are_split_into_equal_parts(tmp_path: Path, monkeypatch: pyte
     assert is_valid.last_valid([0.0], [3.9]) < 1.0
     # Between waypoints, near zero too, configurations are rounded as the waypoints are.
     margin = robot.trajectory(torch.tensor([[-4000.0], [4000.0]])).margin
-    rounding = pose_error(robot._chains_on(torch.device("cpu")), torch.tensor([[4000.0]], dtype=torch.float64))
+    rounding = pose_error(chains_of(robot), torch.tensor([[4000.0]], dtype=torch.float64))
     assert margin is not None and bool((margin >= rounding).all())

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 from oracle.arms import Arm, Part, least_gaps
-from support.arms import UPRIGHT, beams, loaded, random_arm
+from support.arms import UPRIGHT, beams, chains_of, loaded, random_arm
 from support.cases import mostly_slow
 
 import pgccd
@@ -314,7 +314,7 @@ def test_links_turn_little_in_every_step(tmp_path: Path, monkeypatch: pytest.Mon
         q = rng.normal(size=(4, 4, robot.joint_count)) * 10.0 ** rng.uniform(-1, 1, (4, 1, 1))
         turned.clear()
         robot.certify(torch.tensor(q), obstacles)
-        chains = robot._chains_on(torch.device("cpu"))
+        chains = chains_of(robot)
         longest = turns(chains, torch.tensor(np.diff(q, axis=1)).flatten(0, 1)).max()
         assert float(longest) > 4.0 and 0.5 < max(turned) <= 1.0
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 from oracle.arms import Arm, Part
-from support.arms import UPRIGHT, loaded, random_arm
+from support.arms import UPRIGHT, chains_of, loaded, random_arm
 
 from pgccd.motion.paths import RigidMotion
 from pgccd.robots import Robot
@@ -22,7 +22,7 @@ TIMES = np.linspace(0.0, 1.0, 41)
 def bound_of(robot: Robot, q0: np.ndarray, q1: np.ndarray) -> np.ndarray:
     """(K, N) without the error of poses."""
     start, end = (robot._tree.forward(torch.tensor(q)) for q in (q0, q1))
-    return stray_bound(robot._chains_on(start.value.device), start, end).numpy()
+    return stray_bound(chains_of(robot), start, end).numpy()
 
 
 def strays(robot: Robot, arm: Arm, q0: np.ndarray, q1: np.ndarray) -> np.ndarray:
@@ -50,7 +50,7 @@ def strays(robot: Robot, arm: Arm, q0: np.ndarray, q1: np.ndarray) -> np.ndarray
         directions = np.random.default_rng(0).normal(size=(60, 3))
         directions = np.concatenate([directions, np.eye(3), -np.eye(3)])
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-        points = directions[:, None] * np.array(robot._extents)[:, None]
+        points = directions[:, None] * np.array([mesh.reach for mesh in robot.meshes])[:, None]
         off = moved[:, :, None] + np.einsum("knij,dnj->kndi", rotated, points)
         most = np.maximum(most, np.linalg.norm(off, axis=3).max(axis=2))
     return most
@@ -61,7 +61,7 @@ def test_no_link_strays_further(seed: int, tmp_path: Path) -> None:
     rng = np.random.default_rng(seed)
     arm = random_arm(rng, int(rng.integers(1, 9)))
     robot = loaded(arm, tmp_path)
-    chains = robot._chains_on(torch.device("cpu"))
+    chains = chains_of(robot)
     q0 = rng.uniform(-3.0, 3.0, (40, robot.joint_count))
     step = rng.normal(size=q0.shape) * (rng.random(q0.shape) < 0.7)
     most = np.maximum(turns(chains, torch.tensor(step)).numpy(), 1e-9)
@@ -178,12 +178,12 @@ def errors_and_bounds(arm: Arm, robot: Robot, q: np.ndarray) -> tuple[np.ndarray
     the bound of that.
     """
     x, r = (column[0].tolist() for column in robot.poses(torch.tensor(q)[None]))
-    chains = robot._chains_on(torch.device("cpu"))
+    chains = chains_of(robot)
     bound = pose_error(chains, torch.tensor(q).abs()[None])[0].numpy()
-    errors = []
+    errors, reaches = [], [mesh.reach for mesh in robot.meshes]
     with mpmath.workdps(40):
         values = values_of(arm, q.tolist())
-        for link, position, turn, reach in zip(robot.body_link.tolist(), x, r, robot._extents, strict=True):
+        for link, position, turn, reach in zip(robot.body_link.tolist(), x, r, reaches, strict=True):
             rotation, exact = exact_frame(arm, int(robot.link_names[link].removeprefix("link")), values)
             w, a, b, c = (mpmath.mpf(part) for part in turn)
             found = mpmath.matrix(
@@ -230,7 +230,7 @@ def test_the_error_of_poses_is_as_proven(tmp_path: Path) -> None:
         robot = loaded(arm, tmp_path)
         q = rng.uniform(-1.0, 1.0, robot.joint_count) * 10.0 ** rng.uniform(-3.0, 5.9, robot.joint_count)
         given = torch.tensor(np.abs(q))[None]
-        (bound,) = pose_error(robot._chains_on(given.device), given).tolist()
+        (bound,) = pose_error(chains_of(robot), given).tolist()
         values = [0.0] * len(arm.parts)
         for k, x in zip(arm.coordinates, np.abs(q).tolist(), strict=True):
             values[k] = x
@@ -254,7 +254,7 @@ def test_turns_are_those_of_all_joints_of_a_chain(tmp_path: Path) -> None:
     """Also of joints that follow others at other rates; not of slides; of the link that turns most."""
     side = replace(HINGE, parent=-1)
     arm = Arm([HINGE, SLIDE, replace(HINGE, mimic=(0, -7.5, 0.3)), side])
-    chains = loaded(arm, tmp_path)._chains_on(torch.device("cpu"))
+    chains = chains_of(loaded(arm, tmp_path))
     step = torch.tensor([[0.2, 5.0, 0.1], [-0.2, 5.0, 1.8], [0.0, 5.0, 0.0]], dtype=torch.float64)
     assert np.allclose(turns(chains, step).numpy(), [0.2 * 8.5, 1.8, 0.0], rtol=1e-9, atol=0.0)
 

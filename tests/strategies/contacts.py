@@ -7,6 +7,7 @@ from the result (`distance_at`). All generators take a NumPy generator.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -69,6 +70,7 @@ def features_around(a: pgccd.Mesh, of_a: Sequence[int], b: pgccd.Mesh, of_b: Seq
 # Meshes with dyadic vertex coordinates and the body frame's origin at exactly zero.
 
 
+@functools.cache
 def spindle(width: float = 0.125, level: int = 3, length: float = 1.0) -> pgccd.Mesh:
     """Two four-sided cones base to base along the x axis, of 8 (2^level - 1) faces: vertex 0 is the tip at +length,
     vertex 1 that at -length.
@@ -91,6 +93,7 @@ def spindle(width: float = 0.125, level: int = 3, length: float = 1.0) -> pgccd.
     return pgccd.Mesh(np.concatenate(vertices), np.array(faces))
 
 
+@functools.cache
 def plate(cells: int = 4, half: float = 1.0) -> pgccd.Mesh:
     """A flat square in the plane x = 0, of 2 cells^2 faces; `cells` a power of two."""
     steps = half * (2.0 * np.arange(cells + 1) / cells - 1.0)
@@ -100,6 +103,7 @@ def plate(cells: int = 4, half: float = 1.0) -> pgccd.Mesh:
     return pgccd.Mesh(vertices, np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]))
 
 
+@functools.cache
 def wedge(width: float = 0.25) -> pgccd.Mesh:
     """A rhombic bar: edge (0, 1) protrudes at x = 1 from z = -1 to 1, another edge at x = -1."""
     ridges = [[x, 0.0, z] for x in (1.0, -1.0) for z in (-1.0, 1.0)]

@@ -6,10 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from oracle.arms import Arm, Part
 
 import pgccd
 from pgccd import robots
+from pgccd.robots.stray import Chains
 
 UPRIGHT = (0.0, 0.0, 0.0)
 
@@ -20,6 +22,10 @@ def loaded(arm: Arm, folder: Path) -> robots.Robot:
     path = folder / "arm.urdf"
     path.write_text(arm.urdf())
     return pgccd.robots.load_urdf(path)
+
+
+def chains_of(robot: robots.Robot) -> Chains:
+    return robot._chains_on(torch.device("cpu"))
 
 
 def beams(joints: int = 4, length: float = 0.4) -> Arm:

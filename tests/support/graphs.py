@@ -10,6 +10,8 @@ from unittest import mock
 import torch
 from torch import Tensor
 
+from pgccd.distributed.halo import halo_sizes
+from pgccd.distributed.steps import replayed
 from pgccd.resolution import rounds as rounds_module
 from pgccd.runtime import transaction
 from pgccd.runtime.sizes import COUNT_ROWS
@@ -73,6 +75,18 @@ class Graphs(ExitStack):
     """A context in which steps can be captured."""
 
     rounds: ConditionalRounds | None = None  #: on a CPU
+
+    def without_room(self) -> None:
+        """One more body in any message overflows it."""
+        self.enter_context(mock.patch.object(halo_sizes, "padded_count", lambda count: count))
+        self.enter_context(mock.patch.object(halo_sizes, "_NEAR_SLACK", 1))
+        self.enter_context(mock.patch.object(replayed, "_OWN_MORE", 0))
+
+    def replays_with_away(self, weight: float) -> None:
+        """Steps are replayed until the bodies away from their owners, times this weight, exceed the ghosts: with few
+        bodies and the usual weight that is in almost every step.
+        """
+        self.enter_context(mock.patch.object(replayed, "_MOST_AWAY", weight))
 
 
 def graphs_on(device: torch.device | str) -> Graphs:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import socket
+import threading
 import time
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import pytest
 
@@ -26,12 +28,29 @@ class Ranks:
     def channel(self, rank: int, token: bytes = TOKEN) -> channel.Channel:
         return join(("127.0.0.1", self.hub.port), token, {"rank": rank, "name": f"process {rank}"}, 5.0)
 
+    def connection(self, rank: int) -> channel.Channel:
+        """From the rank to the hub."""
+        return self.guards[rank]._channel
+
+    @property
+    def members(self) -> dict[int, Any]:
+        """What the hub knows of each rank that has joined."""
+        return self.hub._members
+
+    @property
+    def thread_of_hub(self) -> threading.Thread:
+        return self.hub._thread
+
     def kill(self, rank: int) -> None:
         """Closes the rank's connection, as the operating system does when a process ends."""
         killed = self.guards[rank]
         killed._closed.set()
-        killed._channel.socket.shutdown(socket.SHUT_RDWR)
+        self.connection(rank).socket.shutdown(socket.SHUT_RDWR)
         killed._thread.join()
+
+    def end_process(self, rank: int) -> None:
+        """What the guard of the rank does when its process ends."""
+        self.guards[rank]._leave()
 
 
 def ranks_of(size: int, monkeypatch: pytest.MonkeyPatch) -> Iterator[Ranks]:

@@ -79,8 +79,8 @@ def test_the_death_of_rank_0_is_seen_by_all(ranks: Ranks, exits: list[int]) -> N
     ranks.hub._closing.set()
     ranks.hub._deadline = 0.0
     ranks.hub._ranks.clear()  # no message to the ranks
-    ranks.hub._thread.join()
-    for member in ranks.hub._members.values():
+    ranks.thread_of_hub.join()
+    for member in ranks.members.values():
         member.channel.socket.shutdown(socket.SHUT_RDWR)
     for one in ranks.guards[1:]:
         assert f"rank 0 (process {os.getpid()} on " in fail(one)
@@ -95,8 +95,8 @@ def test_a_process_whose_gpu_waits_without_end_ends_at_once(ranks: Ranks, exits:
     for one in ranks.guards[::-1]:
         one.close()
     del exits[:]
-    for one in ranks.guards:
-        one._leave()
+    for rank in range(3):
+        ranks.end_process(rank)
     assert exits == [70]  # the exit code of the one with a GPU
 
 
@@ -123,7 +123,7 @@ def test_a_message_that_does_not_arrive_although_all_ranks_have_sent_it(ranks: R
     begin = time.monotonic()
     asking = ranks.guards[0]
     with asking.waiting("step"):
-        asking._channel.send(about="error", is_late=False, exchange=1)
+        ranks.connection(0).send(about="error", is_late=False, exchange=1)
         wait_for(asking._answered.is_set)
         assert asking._none_behind == (-1, 0)  # that question was not about the time
         wait_for(lambda: exits)
@@ -175,7 +175,7 @@ def test_a_verdict_is_withdrawn_when_exchanges_go_on(
     # What has ended cannot go on.
     ranks.kill(2)
     wait_for(lambda: verdict_of(ranks.guards[0]))
-    ranks.guards[1]._channel.send(about="goes on")
+    ranks.connection(1).send(about="goes on")
     wait_for(lambda: exits)
     assert str(verdict_of(ranks.hub)) == "rank 2 (process 2) has died"
 
@@ -320,7 +320,7 @@ def test_strangers_are_not_believed(incomplete: Ranks, exits: list[int], monkeyp
         silent.settimeout(10.0)
         while silent.recv(4096):
             pass
-    assert ranks.hub._thread.is_alive() and not ranks.hub.is_complete.is_set()
+    assert ranks.thread_of_hub.is_alive() and not ranks.hub.is_complete.is_set()
     assert (
         fail(ranks.guards[0]) != ""
         and verdict_of(ranks.guards[1]) is None
@@ -379,7 +379,7 @@ def test_half_greetings_do_not_keep_ranks_out(
             one.sendall([b'{"who": {"rank": 3', b"{", b"x" * 60_000, '{"who"'.encode("utf-16")][k % 4])
         strangers.append(one)
     last = join(address, TOKEN, {"rank": 3, "name": "late"}, 20.0)
-    assert incomplete.hub.is_complete.wait(5.0) and incomplete.hub._thread.is_alive() and exits == []
+    assert incomplete.hub.is_complete.wait(5.0) and incomplete.thread_of_hub.is_alive() and exits == []
     for one in [*strangers, last]:
         one.close()
 
@@ -436,7 +436,7 @@ def test_a_hub_that_fails_blames_nobody(
         raise MemoryError("8 GiB")
 
     monkeypatch.setattr(ranks.hub, "_drop_strangers", fails)
-    ranks.hub._thread.join(5.0)
+    ranks.thread_of_hub.join(5.0)
     said = "the hub of the guard, on rank 0, has failed (MemoryError: 8 GiB)"
     assert f"pgccd: {said}" in capsys.readouterr().err
     time.sleep(1.0)  # longer than the grace period
@@ -481,18 +481,18 @@ def test_ranks_do_not_believe_a_hub_without_the_token() -> None:
 
 
 def test_a_changed_line_ends_the_job(ranks: Ranks, exits: list[int]) -> None:
-    ranks.guards[2]._channel.socket.sendall(b'{"about": "failure", "text": "failed"}\n')
+    ranks.connection(2).socket.sendall(b'{"about": "failure", "text": "failed"}\n')
     assert fail(ranks.guards[1]).startswith("rank 2 (process 2) is lost: its connection carries lines that it has not")
 
 
 def test_a_line_that_rank_0_has_not_sent(ranks: Ranks, exits: list[int]) -> None:
-    ranks.hub._members[2].channel.socket.sendall(b'{"about": "verdict", "text": "rank 7 has died", "is_final": true}\n')
+    ranks.members[2].channel.socket.sendall(b'{"about": "verdict", "text": "rank 7 has died", "is_final": true}\n')
     assert fail(ranks.guards[2]).startswith("the connection to rank 0 carries lines that rank 0 has not sent")
 
 
 def test_a_verdict_is_one_printable_line(ranks: Ranks, exits: list[int], capfd: pytest.CaptureFixture[str]) -> None:
     text = "failed\n\x1b[31mpgccd: rank 0 has died\u2028" + 5000 * "x"
-    ranks.guards[2]._channel.send(about="failure", text=text)
+    ranks.connection(2).send(about="failure", text=text)
     wait_for(lambda: verdict_of(ranks.guards[1]) is not None)
     verdict = str(verdict_of(ranks.guards[1]))
     assert verdict.isprintable() and r"failed\n\x1b[31mpgccd" in verdict and len(verdict) <= 2000

@@ -33,10 +33,10 @@ def test_calls_are_compared(ranks: Ranks, exits: list[int]) -> None:
             assert one.begin_call(name)
             assert not one.begin_call("within it")
             one.end_call()
-    wait_for(lambda: ranks.hub._members[2].calls == 2)
+    wait_for(lambda: ranks.members[2].calls == 2)
     assert ranks.hub._calls == {} and verdict_of(ranks.hub) is None
     third.begin_call("turn")
-    wait_for(lambda: ranks.hub._members[2].calls == 3)
+    wait_for(lambda: ranks.members[2].calls == 3)
     assert verdict_of(ranks.hub) is None
     second.begin_call("make")
     text = "rank 1 (process 1) calls make where rank 2 (process 2) calls turn (call 3)"
@@ -83,7 +83,7 @@ def test_a_rank_that_has_finished_is_missed_by_a_call(ranks: Ranks, exits: list[
         one.begin_call("turn")
         one.end_call()
     ranks.guards[2].close()
-    wait_for(lambda: ranks.hub._members[2].finished)
+    wait_for(lambda: ranks.members[2].finished)
     assert verdict_of(ranks.hub) is None
     ranks.guards[1].begin_call("next")
     wait_for(lambda: verdict_of(ranks.hub))
@@ -109,7 +109,7 @@ def test_stacks_are_printed_if_ranks_hang(ranks: Ranks, exits: list[int], capfd:
 
 def test_the_error_that_ends_a_program_is_told(ranks: Ranks, exits: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(guard.sys, "last_value", KeyError("of the user"), raising=False)
-    ranks.guards[1]._leave()
+    ranks.end_process(1)
     wait_for(lambda: verdict_of(ranks.hub))
     assert verdict_of(ranks.hub) == "rank 1 (process 1) failed in the start: KeyError: 'of the user'"
 
@@ -120,7 +120,7 @@ def test_the_verdict_is_printed_last(ranks: Ranks, exits: list[int], capsys: pyt
     for one in ranks.guards[::-1]:
         one.close()
     sys.stderr.write("a traceback\n")
-    ranks.guards[0]._leave()
+    ranks.end_process(0)
     assert capsys.readouterr().err.splitlines()[-2:] == ["a traceback", "pgccd: rank 1 (process 1) has died"]
 
 

@@ -18,10 +18,8 @@ from support.steps import step_of
 import pgccd
 from pgccd import sim
 from pgccd.distributed import BalanceOptions, Bisection, Cells, Comm, RankOptions
-from pgccd.distributed.halo import halo_sizes
 from pgccd.distributed.partition.cut import make_partition
 from pgccd.distributed.partition.decomposition import Decomposition
-from pgccd.distributed.steps import replayed as rank_steps
 from pgccd.resolution.round_plan import RoundPlan
 from pgccd.runtime import transaction
 from pgccd.runtime.sizes import BufferSizes, Capacity
@@ -162,12 +160,9 @@ def follow_replayed(
 ) -> dict[str, int]:
     """The same with replays of a graph and messages of fixed size, as on GPUs."""
     with graphs_on("cpu") as stack:
-        # Otherwise with so few robots, cells would change owners, or robots be away, in almost every step.
-        stack.enter_context(mock.patch.object(rank_steps, "_MOST_AWAY", 0.5))
-        if padding == "none":  # one more body overflows
-            stack.enter_context(mock.patch.object(halo_sizes, "padded_count", lambda count: count))
-            stack.enter_context(mock.patch.object(halo_sizes, "_NEAR_SLACK", 1))
-            stack.enter_context(mock.patch.object(rank_steps, "_OWN_MORE", 0))
+        stack.replays_with_away(0.5)
+        if padding == "none":
+            stack.without_room()
         seen = follow(comm, alone, name, policy, random_owners, True, graph=True)
         assert stack.rounds is not None
         return seen | {"skipped": stack.rounds.skipped}
@@ -225,7 +220,7 @@ def follow_neighbours(comm: Comm, alone: SingleRun, name: str, policy: str, grap
         assert self.neighbours.size == len(self.neighbours.ranks) + 1
 
     with graphs_on("cpu" if graph else "none") as stack:
-        stack.enter_context(mock.patch.object(rank_steps, "_MOST_AWAY", 0.5))
+        stack.replays_with_away(0.5)
         stack.enter_context(mock.patch.object(Decomposition, "extend", noted))
         if policy == "none":
             for partition in (Cells, Bisection):
@@ -241,7 +236,7 @@ def follow_bisected(
 ) -> dict[str, int]:
     """The same with bisection, as replays or not."""
     with graphs_on(device if replayed else "none") as stack:
-        stack.enter_context(mock.patch.object(rank_steps, "_MOST_AWAY", 0.5))
+        stack.replays_with_away(0.5)
         return follow(comm, alone, name, policy, False, True, device, replayed, "bisection")
 
 

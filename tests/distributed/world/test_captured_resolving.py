@@ -18,8 +18,6 @@ from distributed.world.test_loop import meshes
 from pgccd.distributed import BalanceOptions, Bodies, CapturedWorld, Comm, World, WorldOptions, WorldStep
 from pgccd.distributed.comm.interface import Alone
 from pgccd.distributed.detection.held_exchange import HeldExchange
-from pgccd.distributed.halo import halo_sizes
-from pgccd.distributed.steps import replayed as rank_steps
 from pgccd.distributed.world import resolve as resolve_module
 from pgccd.distributed.world import world_graphs
 from pgccd.resolution import listed
@@ -152,10 +150,8 @@ def follow(
 ) -> dict[str, int]:
     expected, counts = alone
     with graphs_on(device if graph else "none") as stack:
-        if cramped:  # one more body overflows
-            stack.enter_context(mock.patch.object(halo_sizes, "padded_count", lambda count: count))
-            stack.enter_context(mock.patch.object(halo_sizes, "_NEAR_SLACK", 1))
-            stack.enter_context(mock.patch.object(rank_steps, "_OWN_MORE", 0))
+        if cramped:
+            stack.without_room()
         world = spread(comm, torch.device(device), initial)
         loop = CapturedWorld(world, motion, response, graph, resolve=True, movable=movable)
         steps: list[WorldStep] = []

@@ -28,10 +28,8 @@ from pgccd.distributed import (
 )
 from pgccd.distributed.comm.interface import Alone
 from pgccd.distributed.detection import share
-from pgccd.distributed.halo import halo_sizes
 from pgccd.distributed.partition import rebalancing
 from pgccd.distributed.partition.balance import BackOff, RankLoads
-from pgccd.distributed.steps import replayed as rank_steps
 from pgccd.search.passes import find_pass
 
 COUNT, STEPS, BOX = 120, 16, 5.5
@@ -123,11 +121,9 @@ def follow(
 ) -> dict[str, int]:
     expected, counts = alone
     with graphs_on(device if graph else "none") as stack:
-        if cramped:  # one more body overflows
-            stack.enter_context(mock.patch.object(halo_sizes, "padded_count", lambda count: count))
-            stack.enter_context(mock.patch.object(halo_sizes, "_NEAR_SLACK", 1))
-            stack.enter_context(mock.patch.object(rank_steps, "_OWN_MORE", 0))
-        stack.enter_context(mock.patch.object(rank_steps, "_MOST_AWAY", 0.5))
+        if cramped:
+            stack.without_room()
+        stack.replays_with_away(0.5)
         world = spread(comm, torch.device(device), policy, partition)
         loop = CapturedWorld(world, motion, response, graph)
         steps: list[WorldStep] = []
@@ -247,7 +243,7 @@ def decisions(comm: Comm, graph: bool) -> tuple[list[int], int]:
         stack.enter_context(mock.patch.object(rebalancing, "rebalanced", noted))
         stack.enter_context(mock.patch.object(RankLoads, "are_level", lambda *_: False))
         stack.enter_context(mock.patch.object(BackOff, "is_over", lambda *_: True))
-        stack.enter_context(mock.patch.object(rank_steps, "_MOST_AWAY", 0.0))
+        stack.replays_with_away(0.0)
         steps = CapturedWorld(world, motion, response, graph).run(STEPS)
     return made, sum(step.replayed for step in steps)
 
