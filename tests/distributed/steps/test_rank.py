@@ -265,8 +265,7 @@ def test_same_bits_as_one_process(world: World, name: str, policy: str, random_o
 @pytest.mark.parametrize(("name", "policy"), [("random", "none"), ("random", "cost"), ("skewed", "one-cell")])
 def test_same_bits_as_replays(world: World, name: str, policy: str, padding: str) -> None:
     """Steps in which one rank needs more rounds or capacity are repeated by all ranks."""
-    # Without padding nearly every step is repeated.
-    alone = single_run(name, STEPS if padding == "usual" else 12)
+    alone = single_run(name, STEPS)
     seen = world(follow_replayed, alone, name, policy, policy == "none", padding)
     assert seen[0]["replayed"] > 2 or (padding == "none" and len(seen) > 1)
     # Without messages of peers a rank does not know whether others need a round.
