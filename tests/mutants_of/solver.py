@@ -39,7 +39,6 @@ def _normals(
 MUTANTS = [
     _rate("sign", ROWS, "-dot_of(normal, site.velocity())", "dot_of(normal, site.velocity())"),
     _rate("reversed", ROWS, "is_reversed[row] != 0 ? -closing : closing", "closing"),
-    _rate("reversed-in-faces", ROWS, "site.kind <= kKindEE && site.is_reversed(normal)", "site.is_reversed(normal)"),
     _rate("of-one-body", SITE, "(rate[1] - rate[0])", "rate[1]"),
     _rate(
         "turns-back",
@@ -88,7 +87,7 @@ MUTANTS = [
     ),
     _recedes("before-the-end", "start + change", "start + 0.9999 * change", "return start + change + (b_last"),
     _recedes("beyond-the-step", "start + change", "start + 1.0001 * change", "return start + change + (b_last"),
-    _recedes("before-the-end-on-lines", "1.0", "0.9999", "b_last = CornersAt::of(b, {}, 1.0)"),
+    _recedes("before-the-end-on-lines", "1.0", "0.9999", "a_last = CornersAt::of(a, {}, 1.0)"),
     _recedes(
         "beyond-the-step-on-arcs",
         "(static_cast<double>(window) / contacts_detail::kWindows)",
@@ -97,7 +96,7 @@ MUTANTS = [
     _recedes(
         "before-the-end-on-arcs",
         "(static_cast<double>(window) / contacts_detail::kWindows)",
-        "(0.9999 * static_cast<double>(window) / contacts_detail::kWindows)",
+        "(0.9 * static_cast<double>(window) / contacts_detail::kWindows)",
     ),
     _recedes("no-error", "kRounding * size", "0.0 * size"),
     _recedes("error-of-one", "sets.other.size(angle_[1])", "0.0"),
@@ -122,7 +121,7 @@ MUTANTS = [
         "gap_",
     ),
     _recedes("height-anywhere", "is_over && dot_of(inward, point - corner[k]) >= 0.0", "is_over"),
-    _recedes("height-of-any-face", "length_of(cross(unit_or_zero(across), of_surface)) > kParallel", "false"),
+    _python("recedes-height-of-any-face", RECESSION, "kParallel = 1e-5", "kParallel = 10.0", ON_RECESSION),
     _recedes("from-the-other-side", "!(dot_of(direction, site_.offset) >= -site_.noise)", "false"),
     _recedes("one-sided", "is_sided || stay(sets, -along)", "true"),
     _recedes("never-slides", "magnitude(closing) <= kSliding * length_of(velocity_)", "false"),

@@ -36,7 +36,7 @@ struct ClosingRates {
     const Site site = given.site(row);
     const Vec3<double> normal = given.normal_of(row);
     const double closing = -dot_of(normal, site.velocity());
-    is_reversed[row] = site.kind <= kKindEE && site.is_reversed(normal) ? 1 : 0;
+    is_reversed[row] = site.is_reversed(normal) ? 1 : 0;
     rate[row] = is_reversed[row] != 0 ? -closing : closing;
     const Vec3<double> arms = (site.nearest[0] - site.arm_of_point(0)) + (site.nearest[1] - site.arm_of_point(1));
     away[row] = length_of(0.5 * arms);

@@ -84,7 +84,7 @@ class Recession {
     contacts_detail::MovingCorners one, other;  // of i and of j
   };
 
-  PGCCD_HD contacts_detail::MovingCorners corners_of(int side, const int64_t (&vertices)[3]) const {
+  PGCCD_HD_RARE contacts_detail::MovingCorners corners_of(int side, const int64_t (&vertices)[3]) const {
     contacts_detail::MovingCorners corners;
     for (int k = 0; k < 3; ++k) {
       const PathEnds at = site_.ends(side, vertices[k]);
@@ -101,7 +101,7 @@ class Recession {
   }
 
   // By the order of corners, at toi; zero without an area.
-  PGCCD_HD Vec3<double> face_normal(int side, const int64_t (&vertices)[3]) const {
+  PGCCD_HD_RARE Vec3<double> face_normal(int side, const int64_t (&vertices)[3]) const {
     const Vec3<double> a = site_.arm(side, vertices[0]);
     const Vec3<double> b = site_.arm(side, vertices[1]) - a, c = site_.arm(side, vertices[2]) - a;
     return contacts_detail::unit_or_zero(cross(b, c));
@@ -207,7 +207,7 @@ class Recession {
   }
 
   // Along an open direction.
-  PGCCD_HD bool stay_along(const Pair& sets, Vec3<double> along) {
+  PGCCD_HD_RARE bool stay_along(const Pair& sets, Vec3<double> along) {
     using namespace contacts_detail;
     if (!stay(sets, along)) return false;
     // Features that coincide were apart before, where they came from, or, if they slide, where the sets are. Sets that
@@ -220,7 +220,7 @@ class Recession {
   }
 
   // Whether sets stay at least gap - slack apart along a direction from toi on.
-  PGCCD_HD bool stay(const Pair& sets, Vec3<double> direction) {
+  PGCCD_HD_RARE bool stay(const Pair& sets, Vec3<double> direction) {
     using namespace contacts_detail;
     const double start = dot_of(direction, site_.between), change = dot_of(direction, site_.change);
     const CornersAlong a = CornersAlong::of(sets.one, angle_[0], direction);
@@ -244,9 +244,9 @@ class Recession {
   }
 
   // As `stay`, of bodies that turn: by the chord between the ends of windows and by the tangent at their beginning.
-  PGCCD_HD bool stay_in_windows(int count, const contacts_detail::CornersAlong& a,
-                                const contacts_detail::CornersAlong& b, double start, double change, double needed,
-                                double error) {
+  PGCCD_HD_RARE bool stay_in_windows(int count, const contacts_detail::CornersAlong& a,
+                                     const contacts_detail::CornersAlong& b, double start, double change, double needed,
+                                     double error) {
     using namespace contacts_detail;
     const int wide = kWindows / count;
     const double length = (1.0 - site_.toi) / count;

@@ -189,7 +189,7 @@ struct Ring {
   }
 
   // Of the normals that this surface may have the one nearest to a normal.
-  PGCCD_HD Vec3<double> nearest(Vec3<double> normal) const {
+  PGCCD_HD_RARE Vec3<double> nearest(Vec3<double> normal) const {
     using namespace contacts_detail;
     if (admits(normal)) return normal;
     Vec3<double> best = normal;
@@ -311,7 +311,7 @@ struct Surfaces {
   }
 
  private:
-  PGCCD_HD void set(const Site& site, const Place& at, Vec3<double> given) {
+  PGCCD_HD_RARE void set(const Site& site, const Place& at, Vec3<double> given) {
     using namespace contacts_detail;
     is_set = true;
     place = at;
