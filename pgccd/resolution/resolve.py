@@ -21,7 +21,7 @@ from pgccd.resolution.results import M, PaddedResolution, Resolution, union_of_p
 from pgccd.resolution.round_plan import RoundPlan
 from pgccd.resolution.rounds import Attempt, OneRank, RoundSearch, resolve_collisions
 from pgccd.resolution.search import ShortenedSearch, at_rest, shortened
-from pgccd.resolution.stoppers import Stoppers
+from pgccd.resolution.stopped_by import StoppedBy
 from pgccd.resolution.trajectories import TrajectoryResolution, resolve_segments
 from pgccd.runtime.host_copy import HostCopy
 from pgccd.runtime.sizes import COUNT_ROWS, BufferSizes, Capacity, overflow_flags, sizes_of
@@ -200,10 +200,10 @@ class _Step:
         first_invalid_rows = bodies._first_invalid_rows()
         invalid_rows = HostCopy.start(first_invalid_rows)
         search = self._search(motion, plan)
-        search_pass, stoppers = search.passes[0], Stoppers(scene.body_count, scene.device)
+        search_pass, stopped_by = search.passes[0], StoppedBy(scene.body_count, scene.device)
         clock = StageClock()
         resolved = resolve_collisions(
-            search, scene.body_count, plan.rounds, _nothing, clock, fixed=self.fixed, stoppers=stoppers
+            search, scene.body_count, plan.rounds, _nothing, clock, fixed=self.fixed, stopped_by=stopped_by
         )
         bodies._raise_invalid(invalid_rows.numpy().tolist())
         resolved.learn()
@@ -219,7 +219,7 @@ class _Step:
         rest = _are_both(at_rest(scene, made), meeting)
         touching = union_of_pairs(touching, meeting[rest], scene.body_count)
         touching, unresolved = touching[touching[:, 0] >= 0], meeting[~rest]
-        return Resolution(made, fraction, stoppers.by, touching, unresolved, resolved.resolution.rounds)
+        return Resolution(made, fraction, stopped_by.id, touching, unresolved, resolved.resolution.rounds)
 
     def resolve_padded(self, motion: M, capacity: BufferSizes, rounds: int) -> PaddedResolution[M]:
         bodies, scene, query = self.bodies, self.bodies.scene, self.query
@@ -230,10 +230,10 @@ class _Step:
         )
         search_pass = SearchPass(query, bodies, pairs, counts, capacity=capacity)
         search_pass.start()
-        stoppers = Stoppers(scene.body_count, scene.device)
+        stopped_by = StoppedBy(scene.body_count, scene.device)
         search = self._shortened_search(motion, [search_pass], may_wait=False)
         plan = RoundPlan.of(capacity)
-        attempt = Attempt(search, scene.body_count, plan, OneRank(), StageClock(), self.fixed, stoppers)
+        attempt = Attempt(search, scene.body_count, plan, OneRank(), StageClock(), self.fixed, stopped_by)
         first_change = attempt.begin()
         more_changes, of_rounds = attempt.make_rounds(rounds)
         changes = torch.cat([first_change, more_changes])
@@ -252,7 +252,7 @@ class _Step:
         return PaddedResolution(
             motion=made,
             fraction=fraction,
-            stopped_by=stoppers.by.masked_fill(incomplete, -1),
+            stopped_by=stopped_by.id.masked_fill(incomplete, -1),
             touching_at_start=touching.masked_fill(incomplete, -1),
             unresolved=meeting.masked_fill(rest[:, None] | incomplete, -1),
             rounds=(changes != 0).long().cumprod(0).sum().reshape(1),

@@ -22,7 +22,7 @@ from pgccd import ops
 from pgccd.resolution.counts import GatheredCounts, Rows, SearchCounts
 from pgccd.resolution.round_plan import RoundPlan
 from pgccd.resolution.slowing import STOPPING_ROUND, SlowedBodies
-from pgccd.resolution.stoppers import Stoppers
+from pgccd.resolution.stopped_by import StoppedBy
 from pgccd.runtime.graph import conditional
 from pgccd.runtime.host_copy import HostCopy
 from pgccd.runtime.sizes import COUNT_ROWS, BufferSizes, Counts
@@ -69,7 +69,7 @@ class Found(NamedTuple):
     """First contacts of K pairs of bodies; rows of -1 are padding, or bodies that this rank does not resolve."""
 
     rows: Tensor  #: (K, 2) int64
-    id: Tensor  #: (K, 2) int64: how `Stoppers` name the bodies
+    id: Tensor  #: (K, 2) int64: how `StoppedBy` name the bodies
     toi: Tensor  #: (K,) float64
 
 
@@ -184,7 +184,7 @@ def resolve_collisions(
     clock: StageClock,
     exchange: Exchange | None = None,
     fixed: Tensor | None = None,
-    stoppers: Stoppers | None = None,
+    stopped_by: StoppedBy | None = None,
     stopping_round: int = STOPPING_ROUND,
 ) -> ResolvedStep:
     """Finds the part of its path that each body moves.
@@ -200,7 +200,7 @@ def resolve_collisions(
         clock: records stage times.
         exchange: between ranks; default: a single rank.
         fixed: (N,) bool: bodies that move by their whole step, whatever they meet; default: none.
-        stoppers: takes note of which body stopped which.
+        stopped_by: takes note of which body stopped which.
         stopping_round: from this round on a colliding body does not move at all.
     """
     exchange = exchange or OneRank()
@@ -208,7 +208,7 @@ def resolve_collisions(
     for search_pass in search.passes:
         search_pass.begin()
     while True:
-        attempt = Attempt(search, body_count, plan, exchange, clock, fixed, stoppers, stopping_round)
+        attempt = Attempt(search, body_count, plan, exchange, clock, fixed, stopped_by, stopping_round)
         resolved = attempt.run(summarise)
         if resolved is not None:
             return resolved
@@ -228,7 +228,7 @@ class Attempt:
     exchange: Exchange
     clock: StageClock
     fixed: Tensor | None = None
-    stoppers: Stoppers | None = None
+    stopped_by: StoppedBy | None = None
     stopping_round: int = STOPPING_ROUND
 
     def __post_init__(self) -> None:
@@ -237,8 +237,8 @@ class Attempt:
         self._bodies = SlowedBodies(self.body_count, self._device, self.fixed, self.stopping_round)
         #: Capacity of each round.
         self.capacities: list[BufferSizes] = []
-        if self.stoppers is not None:
-            self.stoppers.clear()
+        if self.stopped_by is not None:
+            self.stopped_by.clear()
 
     @property
     def fraction(self) -> Tensor:
@@ -302,16 +302,16 @@ class Attempt:
         found: Tensor | None = None,
         anywhere: Tensor | None = None,
     ) -> None:
-        bodies, stoppers = self._bodies, self.stoppers
+        bodies, stopped_by = self._bodies, self.stopped_by
         for rows, _, toi in contacts:
             ops.resolve_first_toi(bodies.first, rows, toi)
         self.exchange.share(bodies.first, found, anywhere)
-        if stoppers is not None:
+        if stopped_by is not None:
             for rows, id, toi in contacts:
-                stoppers.find(rows, id, toi, bodies.first)
+                stopped_by.find(rows, id, toi, bodies.first)
         bodies.slow_down(round, change)
-        if stoppers is not None:
-            stoppers.note(bodies.changed)
+        if stopped_by is not None:
+            stopped_by.note(bodies.changed)
 
     def run(self, summarise: Summarise) -> ResolvedStep | None:
         """Runs all rounds; None, on all ranks, if a rank exceeded a capacity, which has then grown."""

@@ -10,8 +10,8 @@ from torch import Tensor
 from pgccd.contacts.contacts import Contacts
 from pgccd.distributed.comm.exchange import Columns, take_rows
 from pgccd.distributed.comm.interface import Comm
-from pgccd.distributed.detection.held_exchange import HeldExchange
 from pgccd.distributed.detection.options import RankOptions, SearchOptions
+from pgccd.distributed.detection.replica_exchange import ReplicaExchange
 from pgccd.distributed.detection.share import Share, search_share
 from pgccd.distributed.guard import collective
 from pgccd.distributed.halo.halo_sizes import HaloSizes
@@ -178,8 +178,8 @@ class Simulation(RankSteps[Step, CommittedStep, StepGraph]):
             bodies = MovingBodies.of(self._scene_of(planned.id), self.model.motion(planned), wait=False)
         own = planned.moving_columns
 
-        def start_exchange(share: Share) -> tuple[HeldExchange, ListedSearch]:
-            return HeldExchange.start(share, self._rank.decomposition), rounds_of(share, bodies, own)
+        def start_exchange(share: Share) -> tuple[ReplicaExchange, ListedSearch]:
+            return ReplicaExchange.start(share, self._rank.decomposition), rounds_of(share, bodies, own)
 
         share, (exchange, rounds) = self._rank.search(own, bodies, self._complete, self.options, clock, start_exchange)
         after: RobotState = planned
@@ -301,8 +301,8 @@ class Simulation(RankSteps[Step, CommittedStep, StepGraph]):
             scene._leave_out(planned.id < 0)
         bodies = MovingBodies.of(scene, self.model.motion(planned), wait=False)
 
-        def start_exchange(share: Share) -> tuple[HeldExchange, ListedSearch]:
-            exchange = HeldExchange.start(share, decomposition, sizes.common, self.comm.peer_messages)
+        def start_exchange(share: Share) -> tuple[ReplicaExchange, ListedSearch]:
+            exchange = ReplicaExchange.start(share, decomposition, sizes.common, self.comm.peer_messages)
             share.passes[-1].first_contacts()
             return exchange, rounds_of(share, bodies, own)
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from oracle import rigid, separation
-from support.resting import KINDS, Kind, box, sheet, sliding
+from support.resting import KINDS, UPRIGHT, Kind, box, sheet, sliding
 from support.surfaces import contacts_at
 from torch import Tensor
 
@@ -143,6 +144,57 @@ def test_every_face_around_a_vertex(direction: int) -> None:
         given = operands(scene, tilting, hits.pairs, hits)
         assert hits.features[:, 0].tolist() == [0]
         assert ops.certainly_recede(*given, hits.status, torch.full_like(scene.radius, 1e-6)).tolist() == [stays]
+
+
+def _certain(
+    meshes: list[pgccd.Mesh],
+    moving: int,
+    position: tuple[float, float, float],
+    travel: tuple[float, float, float],
+    angle: float,
+    slack: float,
+) -> tuple[pgccd.Contacts, list[int]]:
+    """All contacts of two bodies of which one moves, and turns about the x axis, upright at the middle of the step."""
+    position_t0, rotation = torch.zeros(2, 2, 3, dtype=torch.float64)
+    orientation = torch.tensor([UPRIGHT, UPRIGHT], dtype=torch.float64)
+    position_t0[moving], rotation[moving, 0] = torch.tensor(position, dtype=torch.float64), angle
+    orientation[moving, 0], orientation[moving, 1] = math.cos(0.25 * angle), -math.sin(0.25 * angle)
+    position_t1 = position_t0.clone()
+    position_t1[moving] += torch.tensor(travel, dtype=torch.float64)
+    scene = pgccd.Scene(meshes, static=[body != moving for body in (0, 1)])
+    motion = pgccd.RigidMotion.from_rotation(position_t0, orientation, position_t1, rotation)
+    hits = pgccd.detect(scene, motion, "all")
+    given = operands(scene, motion, hits.pairs, hits)
+    return hits, ops.certainly_recede(*given, hits.status, torch.full_like(scene.radius, slack)).tolist()
+
+
+def test_flat_surfaces_that_slide_and_rise() -> None:
+    """They lie in one plane when they meet, and no side of it is where the moving one came from: it may pass through
+    the plane.
+    """
+    moving = pgccd.Mesh([[0, 0, 0], [-1, 0.2, 0], [-1, 1, 0]], [[0, 1, 2]])
+    resting = pgccd.Mesh([[0.5, -3, 0], [0.5, 3, 0], [5, 0, 0]], [[0, 2, 1]])
+    for slack in (1e-6, 1e-3):
+        hits, certain = _certain([moving, resting], 0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 0.4, slack)
+        at_vertex = hits.kind == pgccd.Kind.VF_AB
+        assert at_vertex.sum() == 1 and abs(float(hits.toi[at_vertex]) - 0.5) < 1e-9
+        assert not certain[at_vertex.tolist().index(True)]
+
+
+@pytest.mark.parametrize("moving", [0, 1])
+def test_a_tip_that_swings_through_its_lowest_point(moving: int) -> None:
+    """Above a sheet that it touches at both ends of the step: the slack that suffices is the depth between."""
+    tip = pgccd.Mesh(
+        [[0, 0, -1], [-0.1, -0.1, -0.9], [0.1, -0.1, -0.9], [0, 0.1, -0.9]],
+        [[0, 2, 1], [0, 3, 2], [0, 1, 3], [1, 2, 3]],
+    )
+    meshes = [tip, sheet(2, 3.0)] if moving == 0 else [sheet(2, 3.0), tip]
+    angle = 0.2
+    height = math.cos(0.5 * angle)
+    for part, expected in ((0.6, 0), (0.99, 0), (1.01, 1)):
+        hits, certain = _certain(meshes, moving, (0.3, 0.4, height), (0.0, 0.0, 0.0), angle, part * (1.0 - height))
+        assert len(hits) == 1 and float(hits.toi[0]) == 0.0
+        assert certain == [expected]
 
 
 def test_rows_that_name_no_features(device: torch.device) -> None:

@@ -45,7 +45,7 @@ MUTANTS = [
     _mutant("rounds-end-is-rounded", PATHS, "fraction == 1.0", "false"),
     _mutant("rounds-start-is-rounded", PATHS, "fraction == 0.0", "false"),
     _mutant("rounds-displacement-is-an-end", ITEM, "start + part * end", "start + part * (end - start)"),
-    _mutant("rounds-stoppers-of-one-rank", RESOLVE, '.scatter_reduce(0, rows, answer, "amin")', ""),
+    _mutant("rounds-stopped-by-of-one-rank", RESOLVE, '.scatter_reduce(0, rows, answer, "amin")', ""),
     _mutant(
         "rounds-fixed-ghosts-stop",
         RESOLVE,

@@ -22,7 +22,7 @@ from pgccd.distributed.comm.exchange import Columns
 from pgccd.distributed.detection.options import PassEstimates, SearchOptions
 from pgccd.distributed.halo.ghosts import Halo
 from pgccd.distributed.halo.halo_sizes import HaloSizes
-from pgccd.distributed.halo.held import Held
+from pgccd.distributed.halo.local_bodies import LocalBodies
 from pgccd.distributed.halo.vertices import Vertices, vertex_counts
 from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.distributed.partition.rebalancing import Places
@@ -46,7 +46,7 @@ class Share:
     All pairs of bodies are in the shares of all ranks, each in one.
     """
 
-    held: Held
+    held: LocalBodies
     passes: list[SearchPass]  #: being searched
     ghosts: MovingBodies | None  #: None on a single rank
     options: SearchOptions
@@ -248,7 +248,7 @@ def search_share(
     return share, made
 
 
-def _vertices_of_ghosts(vertices: Vertices | None, held: Held, bodies: MovingBodies) -> Vertices | None:
+def _vertices_of_ghosts(vertices: Vertices | None, held: LocalBodies, bodies: MovingBodies) -> Vertices | None:
     """Vertices of ghosts, if the bodies deform. Waits for them."""
     if vertices is None:
         return None
@@ -256,7 +256,7 @@ def _vertices_of_ghosts(vertices: Vertices | None, held: Held, bodies: MovingBod
 
 
 def _ghosts(
-    held: Held, complete: Complete, vertices: Vertices | None, bodies: MovingBodies, is_padded: bool
+    held: LocalBodies, complete: Complete, vertices: Vertices | None, bodies: MovingBodies, is_padded: bool
 ) -> MovingBodies:
     columns = complete(held.ghosts) | ({} if vertices is None else vertices.columns)
     meshes = bodies.scene.meshes

@@ -19,7 +19,7 @@ from pgccd import ops
 from pgccd.distributed.comm.exchange import Route, unpack
 from pgccd.distributed.comm.interface import Pending
 from pgccd.distributed.halo.halo_sizes import HaloSizes
-from pgccd.distributed.halo.held import Held
+from pgccd.distributed.halo.local_bodies import LocalBodies
 from pgccd.distributed.halo.replicas import Replicas, agreed_replicas, find_replicas
 from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.runtime.attempts import TooSmall, until_it_fits
@@ -62,7 +62,7 @@ class Halo:
         # (N,) int64: rows of the bodies at the boundary, then -1; and their number, (1,).
         self._boundary, self._count = none_of_them, self.overflow
         self._pending: Pending[Tensor] | None = None
-        self._held: Held | None = None
+        self._held: LocalBodies | None = None
 
     @property
     def is_padded(self) -> bool:
@@ -97,7 +97,7 @@ class Halo:
         # Ids plus one, since padding is zeros.
         self._pending = self._route.send(self._own | {"id": self._own["id"] + 1})
 
-    def wait(self) -> Held:
+    def wait(self) -> LocalBodies:
         """The held bodies, once all ghosts have arrived. Sends ghosts first, if not done yet.
 
         Raises:
@@ -109,7 +109,7 @@ class Halo:
             self._held = self._alone() if self._is_alone else until_it_fits(self._arrived, self._sizes)
         return self._held
 
-    def _arrived(self, sizes: HaloSizes | None) -> Held | TooSmall[HaloSizes | None]:
+    def _arrived(self, sizes: HaloSizes | None) -> LocalBodies | TooSmall[HaloSizes | None]:
         if self._pending is None:
             self._sizes = sizes
             self.send()
@@ -119,13 +119,13 @@ class Halo:
             return TooSmall(None)
         ghosts = unpack(packed, self._own)
         ghosts["id"] = ghosts["id"] - 1
-        return Held(self._own["id"], ghosts, self._route, *self._at_boundary)
+        return LocalBodies(self._own["id"], ghosts, self._route, *self._at_boundary)
 
-    def _alone(self) -> Held:
+    def _alone(self) -> LocalBodies:
         none = Replicas(self._boundary.new_empty((0, 1), dtype=torch.uint8), self._count)
         ghosts = {name: column[:0] for name, column in self._own.items()}
         self._route = Route(self._decomposition.neighbours, self._boundary, [0], [0])
-        return Held(self._own["id"], ghosts, self._route, self._boundary, none)
+        return LocalBodies(self._own["id"], ghosts, self._route, self._boundary, none)
 
     def sizes(self, near: int, received: list[int]) -> HaloSizes:
         """The numbers of bodies of this step, if it `synchronises`, after `wait`.

@@ -19,12 +19,12 @@ from torch import Tensor
 
 from pgccd.contacts.contacts import Contacts
 from pgccd.distributed.comm.exchange import Columns
-from pgccd.distributed.detection.held_exchange import HeldExchange, RankExchange
 from pgccd.distributed.detection.ids import rows_of
 from pgccd.distributed.detection.options import PassEstimates, SearchOptions
+from pgccd.distributed.detection.replica_exchange import RankExchange, ReplicaExchange
 from pgccd.distributed.detection.report import columns_for_owners, tell_owners
 from pgccd.distributed.detection.share import Share, search_share
-from pgccd.distributed.halo.held import Held
+from pgccd.distributed.halo.local_bodies import LocalBodies
 from pgccd.distributed.halo.vertices import Vertices, vertex_counts
 from pgccd.distributed.partition.decomposition import Decomposition
 from pgccd.distributed.steps.rank import Rank
@@ -36,7 +36,7 @@ from pgccd.resolution.results import M, Resolution
 from pgccd.resolution.round_plan import RoundPlan
 from pgccd.resolution.rounds import Exchange, Found, RoundSearch, resolve_collisions
 from pgccd.resolution.search import at_rest, shortened
-from pgccd.resolution.stoppers import Stoppers
+from pgccd.resolution.stopped_by import StoppedBy
 from pgccd.runtime.sizes import BufferSizes
 from pgccd.runtime.stages import StageClock
 from pgccd.search.bodies import MovingBodies
@@ -247,21 +247,23 @@ def find_fractions(
     search: RoundSearch
     exchange: Exchange
     if lists:
-        exchange = held_exchange = HeldExchange.start(whole, rank.decomposition)
+        exchange = replica_exchange = ReplicaExchange.start(whole, rank.decomposition)
         search, count = listed_search(whole, held.id), len(held)
         if fixed is not None and whole.ghosts is not None:
             fixed = torch.cat([fixed, held.ghosts["fixed"]])
         if keeps_common:
-            rank.learn_common(held_exchange.common(rank.decomposition.neighbours))
+            rank.learn_common(replica_exchange.common(rank.decomposition.neighbours))
     else:
         step = _Step(whole, scene, motion, rank.decomposition, plan, clock)
         exchange, search, count = RankExchange(rank.comm), _SentAnew(step, _first_contacts(whole)), held.own_count
-    stoppers = Stoppers(count, scene.device)
-    resolved = resolve_collisions(search, count, plan.rounds, _nothing, clock, exchange, fixed=fixed, stoppers=stoppers)
+    stopped_by = StoppedBy(count, scene.device)
+    resolved = resolve_collisions(
+        search, count, plan.rounds, _nothing, clock, exchange, fixed=fixed, stopped_by=stopped_by
+    )
     if lists:
         plan.lists = is_short(*resolved.counts.listed)
     fraction, rounds = resolved.resolution.fraction[: held.own_count], resolved.resolution.rounds
-    return OwnFractions(fraction, _of_owners(held, stoppers.by) if lists else stoppers.by, rounds)
+    return OwnFractions(fraction, _of_owners(held, stopped_by.id) if lists else stopped_by.id, rounds)
 
 
 def resolve_step(
@@ -302,7 +304,7 @@ def _of_own(whole: Share, columns: Columns) -> Found:
     return Found(rows_of(whole.held.own_id, columns["pairs"]), columns["pairs"], columns["toi"])
 
 
-def _of_owners(held: Held, by: Tensor) -> Tensor:
+def _of_owners(held: LocalBodies, by: Tensor) -> Tensor:
     """(N,): of own bodies, the least of the values (N + G,) that the ranks that hold them have."""
     own, of_ghosts = by.split([held.own_count, held.ghost_count])
     if held.route.neighbours.comm.size == 1:

@@ -15,8 +15,8 @@ from pgccd import ops
 from pgccd.distributed.comm.exchange import Columns
 from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.comm.peer_memory import RowsOfRanks
-from pgccd.distributed.detection.held_exchange import HeldExchange
 from pgccd.distributed.detection.options import SearchOptions
+from pgccd.distributed.detection.replica_exchange import ReplicaExchange
 from pgccd.distributed.detection.share import Share, search_share
 from pgccd.distributed.halo.halo_sizes import HaloSizes
 from pgccd.distributed.halo.migrate import leaving_and_invalid
@@ -228,8 +228,8 @@ class ResolvingGraph(WorldGraph):
         fixed = fixed_of(self._movable, bodies)
         marks = {} if fixed is None else {"fixed": fixed}
 
-        def start_exchange(share: Share) -> HeldExchange:
-            exchange = HeldExchange.start(share, self._decomposition, self._sizes.common, comm.peer_messages)
+        def start_exchange(share: Share) -> ReplicaExchange:
+            exchange = ReplicaExchange.start(share, self._decomposition, self._sizes.common, comm.peer_messages)
             share.passes[-1].first_contacts()
             return exchange
 

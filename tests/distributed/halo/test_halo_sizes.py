@@ -18,7 +18,7 @@ from pgccd.distributed.comm.neighbourhood import Neighbourhood
 from pgccd.distributed.halo import halo_sizes
 from pgccd.distributed.halo.ghosts import Halo
 from pgccd.distributed.halo.halo_sizes import HaloSizes
-from pgccd.distributed.halo.held import Held
+from pgccd.distributed.halo.local_bodies import LocalBodies
 from pgccd.distributed.steps import rank
 from pgccd.sim import Simulation, starting_share
 
@@ -33,7 +33,7 @@ def by_ranks(comm: Comm, capacities: str) -> tuple[list[dict[str, Any]], list[bo
     enough: list[bool] = []
     wait, padded = Halo.wait, HaloSizes.padded
 
-    def watched(self: Halo) -> Held:
+    def watched(self: Halo) -> LocalBodies:
         was_padded, held = self.is_padded, wait(self)
         if was_padded:
             enough.append(self.is_padded)

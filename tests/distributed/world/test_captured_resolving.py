@@ -17,7 +17,7 @@ import pgccd
 from distributed.world.test_loop import meshes
 from pgccd.distributed import BalanceOptions, Bodies, CapturedWorld, Comm, World, WorldOptions, WorldStep
 from pgccd.distributed.comm.interface import Alone
-from pgccd.distributed.detection.held_exchange import HeldExchange
+from pgccd.distributed.detection.replica_exchange import ReplicaExchange
 from pgccd.distributed.world import resolve as resolve_module
 from pgccd.distributed.world import world_graphs
 from pgccd.resolution import listed
@@ -234,13 +234,13 @@ def test_nothing_moves_if_another_rank_is_incomplete(world: Ranks) -> None:
 
 def send_one_row(comm: Comm, alone: PlainLoop) -> int:
     """Replays have room for one body in common with each rank; the number of steps that were repeated."""
-    start_exchange = HeldExchange.start
+    start_exchange = ReplicaExchange.start
 
-    def cramped(share: Any, decomposition: Any, capacities: Any = None, peers: Any = None) -> HeldExchange:
+    def cramped(share: Any, decomposition: Any, capacities: Any = None, peers: Any = None) -> ReplicaExchange:
         capacities = None if capacities is None else [min(each, 1) for each in capacities]
         return start_exchange(share, decomposition, capacities, peers)
 
-    with graphs_on("cpu"), mock.patch.object(HeldExchange, "start", cramped):
+    with graphs_on("cpu"), mock.patch.object(ReplicaExchange, "start", cramped):
         world = spread(comm, torch.device("cpu"), "report")
         steps = CapturedWorld(world, motion, response, True, resolve=True, movable=movable).run(len(alone[1]))
         require_columns(world, alone[0])

@@ -13,7 +13,7 @@ from pgccd.distributed.halo.replicas import Replicas
 
 
 @dataclass(frozen=True)
-class Held:
+class LocalBodies:
     """The bodies a rank holds for one step: rows 0 to N - 1 are its own, rows N to N + G - 1 ghosts."""
 
     own_id: Tensor  #: (N,) int64, ascending

@@ -49,7 +49,7 @@ class RankExchange:
         return self._comm.any(bool(value))
 
 
-class HeldExchange(RankExchange):
+class ReplicaExchange(RankExchange):
     """Exchange of the first toi of bodies that several ranks hold.
 
     All ranks that hold a body exchange messages directly. Its owner has the list of these ranks, the others derive it
@@ -78,7 +78,7 @@ class HeldExchange(RankExchange):
         decomposition: Decomposition,
         capacities: list[int] | None = None,
         peers: PeerMessages | None = None,
-    ) -> HeldExchange:
+    ) -> ReplicaExchange:
         """Finds the bodies that other ranks hold too.
 
         Args:
