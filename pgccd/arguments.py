@@ -55,10 +55,10 @@ def integer(value: Any, name: str, lowest: int, expected: str) -> int:
     return int(value)
 
 
-def flag(value: Any, name: str) -> bool:
+def flag(value: Any, name: str, expected: str = "True or False") -> bool:
     """The value as a bool. Accepts only bool."""
     if not isinstance(value, (bool, np.bool_)):
-        raise TypeError(f"{name}: expected True or False, got {describe(value)}")
+        raise TypeError(f"{name}: expected {expected}, got {describe(value)}")
     return bool(value)
 
 

@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import math
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
@@ -513,6 +514,8 @@ def _contact_rows(hits: pgccd.Contacts | pgccd.CollidingPairs) -> list[dict[str,
         names = ["segment", "toi", "time"] if isinstance(hits, pgccd.TrajectoryContacts) else ["toi"]
         names += ["approach", "measure"] if isinstance(hits, pgccd.Passages) else []
         columns |= {name: getattr(hits, name).tolist() for name in (*names, "kind", "features", "point", "normal")}
+        # Of bodies inside of solids, which have none.
+        columns["normal"] = [None if math.isnan(x) else [x, y, z] for x, y, z in columns["normal"]]
         columns["kind"] = [pgccd.Kind.names()[kind] for kind in columns["kind"]]
         columns["status"] = [pgccd.Status.names()[status] for status in hits.status.tolist()]
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]

@@ -98,7 +98,7 @@ inline void check_offsets(const MeshSetView& view, const MeshOffsets& sizes) {
 }
 
 inline MeshSetView mesh_set_view(const std::vector<Tensor>& t) {
-  STD_TORCH_CHECK(t.size() == 13, "mesh_set: expected 13 tensors, got ", t.size());
+  STD_TORCH_CHECK(t.size() == 16, "mesh_set: expected 16 tensors, got ", t.size());
   MeshSetView view;
   view.vertices = rows<double>(t[0], "mesh_set.vertices", {kAnySize, 3});
   view.faces = rows<int32_t>(t[1], "mesh_set.faces", {kAnySize, 3});
@@ -125,6 +125,12 @@ inline MeshSetView mesh_set_view(const std::vector<Tensor>& t) {
   if (boxes == 0) view.boxes = nullptr;
   view.node_supports =
       rows<int32_t, NodeSupport>(t[11], "mesh_set.node_supports", {t[4].size(0), kBlockWidth, kSupportWords});
+  // Empty if no mesh is a solid.
+  const int64_t solids = t[13].size(0) == 0 ? 0 : t[8].size(0) - 1;
+  view.solids = {rows<uint8_t>(t[13], "mesh_set.is_solid", {solids}),
+                 rows<int64_t>(t[14], "mesh_set.piece_begin", {solids == 0 ? 0 : solids + 1}),
+                 rows<int32_t>(t[15], "mesh_set.piece_vertex", {kAnySize})};
+  if (solids == 0) view.solids = {};
   return view;
 }
 

@@ -16,8 +16,10 @@ enum class FeatureKind : int32_t {
   kEdgeEdge = 2,    // edge of i, edge of j
   kEdgeFace = 3,    // edge of i that passes through a face of j at t = 0
   kFaceEdge = 4,    // edge of j that passes through a face of i at t = 0
+  kInside = 5,      // vertex of i inside of j, a solid, at t = 0; feature_j is 0
+  kContains = 6,    // vertex of j inside of i; feature_i is 0
 };
-constexpr int32_t kFeatureKinds = 5;
+constexpr int32_t kFeatureKinds = 7;
 
 template <FeatureKind kKind>
 using KindConstant = std::integral_constant<FeatureKind, kKind>;
@@ -39,6 +41,9 @@ PGCCD_HD bool is_crossing(const Candidate& c) {
   return c.kind == static_cast<int32_t>(FeatureKind::kEdgeFace) ||
          c.kind == static_cast<int32_t>(FeatureKind::kFaceEdge);
 }
+PGCCD_HD bool is_enclosure(const Candidate& c) { return c.kind >= static_cast<int32_t>(FeatureKind::kInside); }
+// Decided by the bodies at t = 0 alone.
+PGCCD_HD bool is_of_start(const Candidate& c) { return c.kind >= static_cast<int32_t>(FeatureKind::kEdgeFace); }
 
 // Calls use(kind) with the kind, as a constant, of a candidate that is searched over time. A face and a vertex are a
 // vertex and a face of the bodies in reverse order.

@@ -71,6 +71,13 @@ struct CornerColumns {
   int64_t stride;
 };
 
+// Which meshes are solids, and one vertex of each connected piece of every mesh. All null if none is a solid.
+struct SolidColumns {
+  const uint8_t* is_solid;     // (meshes,)
+  const int64_t* piece_begin;  // (meshes + 1,) first rows of the meshes' pieces
+  const int32_t* vertex;       // (pieces,)
+};
+
 struct MeshSetView {
   const double* vertices;            // (vertices, 3), body frame
   const int32_t* faces;              // (faces, 3)
@@ -89,7 +96,12 @@ struct MeshSetView {
   const double* reaches;  // (meshes,) bound of the vertices' distance from the origin; the radius if centred
   // Null if every mesh fills much of its SBV.
   const double* boxes;  // (meshes, 4, 3) centre of a box and half of its edges, relative to the SBV centre; 0: none
+  SolidColumns solids;
 };
+
+PGCCD_HD bool is_solid(const MeshSetView& meshes, int64_t mesh) {
+  return meshes.solids.is_solid != nullptr && meshes.solids.is_solid[mesh] != 0;
+}
 
 // Maximum number of triangles per leaf: the number of lanes.
 constexpr int kMaxLeafTriangles = 8;

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import partial
@@ -58,7 +59,7 @@ def audit(
     * `Audit.touching`: pairs that touch at frames, as runs of frames: resting contacts, and bodies that intersect where
       a segment starts or ends. Decided by a detection of the bodies at rest, with the same tolerance.
     * `Audit.enclosed`: pairs that touch at neither frame but in between, of which one body is wholly inside the other
-      one at a frame. A body that is not watertight has no inside.
+      one at a frame. A body that is not watertight has no inside; that bodies are marked as solids changes nothing.
 
     Margins of the trajectory, `Trajectory(margin=...)`, count between frames only: with them no passage on the true
     path is missed, but one may be reported that comes close without touching; at toi 0 where the pair is within these
@@ -94,6 +95,9 @@ def audit(
     keep = arguments.integer(keep, "keep", 0, "a number of segments >= 0")
     if scene.margin is not None:
         arguments.refuse_gradient(scene.margin, "margin")
+    if scene.meshes.has_solids:  # only surfaces count: bodies inside of others have a list of their own
+        scene = copy.copy(scene)
+        scene.meshes = scene.meshes._surfaces
     if isinstance(trajectory, Trajectory):
         trajectory._refuse_gradient()
     options: CollideOptions = {"tolerance": tolerance, "broad_phase": broad_phase}

@@ -28,7 +28,8 @@ def approach_rates(scene: Scene, motion: RigidMotion | VertexMotion | Trajectory
 
     Where features touch exactly, their normal may point to the wrong side on bodies that are not convex, unless
     `detect` was given normals="surface". If toi > 0 the rate is positive nevertheless: they were apart before. At t = 0
-    it has the sign that the normal gives; `pgccd.approaching` does not depend on it.
+    it has the sign that the normal gives; `pgccd.approaching` does not depend on it. A body inside of a solid, of kind
+    `INSIDE`, has no normal, and the rate is NaN.
 
     Args:
         scene, motion: with which `detect` found the contacts, unchanged.
@@ -49,9 +50,10 @@ def approach_rates(scene: Scene, motion: RigidMotion | VertexMotion | Trajectory
         return rate
     _, velocity = corner_points(copies, steps, bodies, hits.kind, hits.features, hits.toi)
     speed = _weighted(hits, velocity)
-    expression = -(hits.normal * (speed[:, 1] - speed[:, 0])).sum(1)  # its bits depend on the device
+    normal = torch.where(hits.differentiable[:, None], hits.normal, 0.0)
+    expression = -(normal * (speed[:, 1] - speed[:, 0])).sum(1)  # its bits depend on the device
     expression = torch.where(is_reversed, -expression, expression)
-    return with_gradient_of(rate, torch.where(hits.differentiable, expression, 0.0), "approach")
+    return with_gradient_of(rate, expression, "approach")
 
 
 def moving_bodies(
@@ -100,7 +102,8 @@ def checked_rates(
             what it says of the rest of the step is not about these contacts.
     """
     rate, is_reversed, away, size = ops.closing_rates(*operands(scene, motion, bodies, contacts))
-    is_wrong = ~(away <= _SAME_PLACE * size)
+    # A body inside of a solid has no rate, and always stays in.
+    is_wrong = ~(away <= _SAME_PLACE * size) & (contacts.kind != Kind.INSIDE)
     if bool(is_wrong.any()):
         row = int(is_wrong.long().argmax())
         raise ValueError(

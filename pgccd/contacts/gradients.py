@@ -31,7 +31,9 @@ def add_gradients(
     # Not where features touch at the start, or where the search did not reach a contact.
     sound = (found.toi > 0.0) & (found.status == Status.TOUCH) & (found.kind <= Kind.EE)
     corners = Corners(position, velocity.detach(), found.kind == Kind.EE, between)
-    differentiated = differentiate(corners, sound, found.coordinates, found.normal)
+    # A body inside of a solid has no normal.
+    normal = torch.where(sound[:, None], found.normal, 0.0)
+    differentiated = differentiate(corners, sound, found.coordinates, normal)
     for name in ("toi", "coordinates", "point", "normal"):
         setattr(found, name, with_gradient_of(getattr(found, name), getattr(differentiated, name), name))
     found._differentiable = differentiated.differentiable
@@ -76,9 +78,11 @@ def _rigid_points(motion: RigidMotion, pairs: Tensor, vertices: Tensor, time: Te
 
 
 def _feature_rows(meshes: MeshSet, mesh: Tensor, kind: Tensor, features: Tensor) -> tuple[Tensor, Tensor]:
-    """Of contacts of meshes (K, 2): VERTEX, FACE or EDGE (K, 2), and the row (K, 2) among these of all meshes."""
+    """Of contacts of meshes (K, 2): VERTEX, FACE or EDGE (K, 2), and the row (K, 2) among these of all meshes; the
+    first vertex where a body has no feature.
+    """
     what = torch.tensor(FEATURES, device=kind.device)[kind.long()]
-    return what, meshes.offsets.to(kind.device)[mesh, what] + features.long()
+    return what, meshes.offsets.to(kind.device)[mesh, what] + features.long().clamp(min=0)
 
 
 def _corner_rows(meshes: MeshSet, mesh: Tensor, what: Tensor, row: Tensor) -> Tensor:

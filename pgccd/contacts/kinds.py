@@ -4,8 +4,17 @@ from typing import Final, Literal
 
 #: Features, as columns of `MeshSet.offsets`.
 VERTEX, FACE, EDGE = 0, 1, 2
-#: By kind the feature of i and that of j: what `features` counts.
-FEATURES = ((VERTEX, FACE), (FACE, VERTEX), (EDGE, EDGE), (EDGE, FACE), (FACE, EDGE))
+#: What `features` counts, by kind, of i and of j. Of INSIDE one is -1. Candidates have two such kinds, 5 for a vertex
+#: of i inside of j and 6 for one of j inside of i; the other feature is 0.
+FEATURES = (
+    (VERTEX, FACE),
+    (FACE, VERTEX),
+    (EDGE, EDGE),
+    (EDGE, FACE),
+    (FACE, EDGE),
+    (VERTEX, VERTEX),
+    (VERTEX, VERTEX),
+)
 
 #: Whose normals contacts have: see `pgccd.detect`.
 Normals = Literal["features", "surface"]
@@ -35,6 +44,8 @@ class Kind(_NamedIntegers):
         EE: edge of i, edge of j.
         EF_AB: edge of i that passes through a face of j at t = 0.
         EF_BA: face of i, edge of j that passes through it at t = 0.
+        INSIDE: a connected piece of one body that is inside of the other, a solid, at t = 0. `features` has a vertex of
+            the piece for its body, and -1 for the solid.
 
     Of a body with itself, i = j, there are VF_AB, EE with the smaller edge first, and EF_AB.
 
@@ -47,6 +58,7 @@ class Kind(_NamedIntegers):
     EE: Final = 2
     EF_AB: Final = 3
     EF_BA: Final = 4
+    INSIDE: Final = 5
 
 
 class Status(_NamedIntegers):

@@ -8,7 +8,7 @@ from pgccd.geometry.mesh import Mesh
 
 def meshes_digest(meshes: Sequence[Mesh]) -> str:
     """Hexadecimal SHA-256 of the vertices and faces of meshes, in order. Vertices are relative to the origins; centre
-    offsets are included where they are not zero.
+    offsets are included where they are not zero, and which meshes are solids if any is.
     """
     digest = hashlib.sha256()
     for mesh in meshes:
@@ -17,4 +17,6 @@ def meshes_digest(meshes: Sequence[Mesh]) -> str:
             digest.update(table.numpy().tobytes())
         if bool(mesh.centre_offset.any()):
             digest.update(b"centre" + mesh.centre_offset.numpy().tobytes())
+        if mesh.solid:
+            digest.update(b"solid")
     return digest.hexdigest()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import warnings
 from collections.abc import Sequence
 from functools import cached_property
@@ -18,6 +19,7 @@ from pgccd.geometry import mesh_files, shapes
 from pgccd.geometry.boxes import elongated_box
 from pgccd.geometry.incidence import incidence
 from pgccd.geometry.origin import Origin, checked_origin, checked_point, origin_point
+from pgccd.geometry.solids import Solid, is_solid, vertices_of_components
 
 # Maximum number of triangles per leaf of the hierarchy: one per lane of a vector unit.
 LEAF_SIZE = 8
@@ -34,6 +36,8 @@ FEW_UNITS = 4
 
 # Entries of a mesh's state_dict: what it is built from, and where it comes from.
 _STATE = ("vertices", "faces", "origin", "centre", "centre_offset")
+# Entries that former states lack.
+_LATER: dict[str, Any] = {"unit": None, "solid": False}
 #: Units that lengths of files are converted to.
 Unit = Literal["m", "cm", "mm", "in", "ft"]
 _OF_FILE = ("name", "welded_vertices", "dropped_faces", "source_vertex", "source_face")
@@ -59,6 +63,10 @@ class Mesh:
             of the corner coordinates over all triangles (Du, Liu & Suzumura 2017, Eq. 1), which depends on the
             tessellation; or "center_of_mass", that of a solid of uniform density. The surface must then be closed and
             consistently oriented (each edge shared by two triangles in opposite directions).
+        solid: whether the inside belongs to the body, so that a body that begins a step inside of it touches it
+            (`Kind.INSIDE`). True needs a closed and consistently oriented surface; "auto" is True for those that face
+            outwards, around a volume > 0. Inside are all points about which the surface winds, of several overlapping
+            shells too; a cavity, whose surface faces the other way, is outside. Default False: only the surface counts.
 
     Attributes:
         origin: (3,) float64: the origin in the coordinates given.
@@ -68,6 +76,7 @@ class Mesh:
         reach: bound of the distance of used vertices from the origin; the radius if the SBV centre is the origin.
         vertices: (V, 3) float64, relative to the origin.
         faces: (F, 3) int32.
+        solid: bool: whether the inside belongs to the body.
         edges: (E, 2) int32: each edge once, smaller vertex first, in lexicographic order. Edge indices of contacts
             refer to it.
         name: of the object in its file, or None.
@@ -80,7 +89,9 @@ class Mesh:
 
     Raises:
         ValueError: naming the first offending vertex or face, the mesh has no faces or an SBV radius outside of [1e-30,
-            1e30]; the origin is not a finite point, too far away, or undefined because the surface bounds no solid.
+            1e30]; the origin is not a finite point, too far away, or undefined because the surface bounds no solid; or
+            `solid` is True, and an edge is not shared by two faces in opposite directions.
+        TypeError: `solid` is neither a bool nor "auto".
 
     Example:
         >>> corners = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]
@@ -90,11 +101,17 @@ class Mesh:
     """
 
     def __init__(
-        self, vertices: npt.ArrayLike | Tensor, faces: npt.ArrayLike | Tensor, origin: Origin = (0.0, 0.0, 0.0)
+        self,
+        vertices: npt.ArrayLike | Tensor,
+        faces: npt.ArrayLike | Tensor,
+        origin: Origin = (0.0, 0.0, 0.0),
+        *,
+        solid: Solid = False,
     ) -> None:
         points = _as_array(vertices, np.float64, "vertices")
         triangles = _as_array(faces, np.int64, "faces")
         _check_faces(points, triangles)
+        self.solid = is_solid(solid, points, triangles)
         if arguments.is_float32(vertices):
             _warn_of_rounding(points, triangles)
 
@@ -154,12 +171,14 @@ class Mesh:
         self._box = elongated_box(local, triangles, radius)
 
     @classmethod
-    def box(cls, extents: Sequence[float] | np.ndarray | Tensor, origin: Origin = (0.0, 0.0, 0.0)) -> Mesh:
+    def box(
+        cls, extents: Sequence[float] | np.ndarray | Tensor, origin: Origin = (0.0, 0.0, 0.0), *, solid: Solid = False
+    ) -> Mesh:
         """A box of 12 triangles, centred on the origin, with sides along the axes.
 
         Args:
             extents: (3,) side lengths > 0 along x, y and z.
-            origin: as for the constructor.
+            origin, solid: as for the constructor.
 
         Raises:
             TypeError, ValueError: they are not three such lengths.
@@ -168,10 +187,12 @@ class Mesh:
             >>> pgccd.Mesh.box([2.0, 1.0, 1.0]).faces.shape
             torch.Size([12, 3])
         """
-        return cls(*shapes.box(extents), origin)
+        return cls(*shapes.box(extents), origin, solid=solid)
 
     @classmethod
-    def sphere(cls, radius: float, subdivisions: int = 3, origin: Origin = (0.0, 0.0, 0.0)) -> Mesh:
+    def sphere(
+        cls, radius: float, subdivisions: int = 3, origin: Origin = (0.0, 0.0, 0.0), *, solid: Solid = False
+    ) -> Mesh:
         """A polyhedron with its vertices on a sphere around the origin: an icosahedron, each of its faces divided into
         four `subdivisions` times, 20 x 4^subdivisions faces. It lies within the sphere: at 3 subdivisions face centres
         lie 0.5 % of the radius below it.
@@ -179,7 +200,7 @@ class Mesh:
         Args:
             radius: of the sphere, > 0, in scene length units.
             subdivisions: from 0 to 8.
-            origin: as for the constructor.
+            origin, solid: as for the constructor.
 
         Raises:
             TypeError, ValueError: an argument is not such a number.
@@ -188,10 +209,18 @@ class Mesh:
             >>> pgccd.Mesh.sphere(0.5).faces.shape
             torch.Size([1280, 3])
         """
-        return cls(*shapes.sphere(radius, subdivisions), origin)
+        return cls(*shapes.sphere(radius, subdivisions), origin, solid=solid)
 
     @classmethod
-    def cylinder(cls, radius: float, height: float, sections: int = 32, origin: Origin = (0.0, 0.0, 0.0)) -> Mesh:
+    def cylinder(
+        cls,
+        radius: float,
+        height: float,
+        sections: int = 32,
+        origin: Origin = (0.0, 0.0, 0.0),
+        *,
+        solid: Solid = False,
+    ) -> Mesh:
         """A prism over a regular polygon, with its vertices on a cylinder around the z axis, centred on the origin:
         4 x sections faces.
 
@@ -199,7 +228,7 @@ class Mesh:
             radius: of the cylinder, > 0, in scene length units.
             height: along z, > 0, in scene length units.
             sections: corners of the polygon, from 3 to 1,000,000.
-            origin: as for the constructor.
+            origin, solid: as for the constructor.
 
         Raises:
             TypeError, ValueError: an argument is not such a number.
@@ -208,15 +237,17 @@ class Mesh:
             >>> pgccd.Mesh.cylinder(0.1, 1.0).faces.shape
             torch.Size([128, 3])
         """
-        return cls(*shapes.cylinder(radius, height, sections), origin)
+        return cls(*shapes.cylinder(radius, height, sections), origin, solid=solid)
 
     @classmethod
-    def from_trimesh(cls, mesh: Any, origin: Origin = (0.0, 0.0, 0.0), *, weld: bool = True) -> Mesh:
+    def from_trimesh(
+        cls, mesh: Any, origin: Origin = (0.0, 0.0, 0.0), *, weld: bool = True, solid: Solid = False
+    ) -> Mesh:
         """From a `trimesh.Trimesh`, or a `trimesh.Scene` (its meshes are transformed to the scene's frame and joined).
 
         Args:
             mesh: the trimesh object.
-            origin: as for the constructor.
+            origin, solid: as for the constructor.
             weld: merge vertices at the same position. Files duplicate vertices along seams of textures or normals;
                 unwelded, a deforming mesh would separate there and collide with itself. Contacts index the welded mesh;
                 `source_vertex` and `source_face` map to the mesh given.
@@ -230,11 +261,17 @@ class Mesh:
             >>> robot = pgccd.Mesh.from_trimesh(trimesh.creation.icosphere(subdivisions=3))
         """
         checked_origin(origin)
-        return cls._of_geometry(mesh_files.joined_geometry(mesh), origin, weld)
+        return cls._of_geometry(mesh_files.joined_geometry(mesh), origin, weld, solid)
 
     @classmethod
     def load(
-        cls, path: str | PathLike[str], origin: Origin = (0.0, 0.0, 0.0), *, weld: bool = True, unit: Unit | None = None
+        cls,
+        path: str | PathLike[str],
+        origin: Origin = (0.0, 0.0, 0.0),
+        *,
+        weld: bool = True,
+        unit: Unit | None = None,
+        solid: Solid = False,
     ) -> Mesh:
         """From any mesh file that trimesh loads (ply, stl, obj, off, glb, dae, ...), or a binary mesh of MuJoCo (msh);
         all meshes in it are joined. Polygons are divided in triangles within their outlines (those of Collada files
@@ -248,6 +285,7 @@ class Mesh:
             unit: converts lengths to "m", "cm", "mm", "in" or "ft", if the file states its unit (Collada, 3MF, glTF);
                 other files are taken to be in this unit. Default: the numbers of the file. `mesh.unit` says what they
                 are.
+            solid: as for the constructor.
 
         Raises:
             FileNotFoundError, IsADirectoryError: no such file.
@@ -265,7 +303,7 @@ class Mesh:
         loaded = mesh_files.load_geometry(path)
         try:
             factor, metres = mesh_files.conversion(path, loaded, unit)
-            mesh = cls._of_geometry(mesh_files.joined_geometry(loaded).scaled(factor), origin, weld, str(path))
+            mesh = cls._of_geometry(mesh_files.joined_geometry(loaded).scaled(factor), origin, weld, solid, str(path))
             mesh.unit = metres
             return mesh
         except ValueError as error:
@@ -273,14 +311,20 @@ class Mesh:
 
     @classmethod
     def load_all(
-        cls, path: str | PathLike[str], origin: Origin = (0.0, 0.0, 0.0), *, weld: bool = True, unit: Unit | None = None
+        cls,
+        path: str | PathLike[str],
+        origin: Origin = (0.0, 0.0, 0.0),
+        *,
+        weld: bool = True,
+        unit: Unit | None = None,
+        solid: Solid = False,
     ) -> list[Mesh]:
         """One mesh per object of a file, with their names: each mesh of a scene file (glb, gltf, 3mf, ...) in the
         scene's frame, each object and group of an obj file (named object_group), or the only mesh of other files; in
         the order of the file.
 
         Args:
-            path, origin, weld, unit: as for `load`.
+            path, origin, weld, unit, solid: as for `load`.
 
         Raises:
             FileNotFoundError, ValueError, ImportError: as for `load`; the object of the file is named.
@@ -297,24 +341,43 @@ class Mesh:
             factor, metres = mesh_files.conversion(path, loaded, unit)
             for geometry in mesh_files.placed_geometry(loaded):
                 part = f": {geometry.name}" if geometry.name else ""
-                meshes.append(cls._of_geometry(geometry.scaled(factor), origin, weld, f"{path}{part}"))
+                meshes.append(cls._of_geometry(geometry.scaled(factor), origin, weld, solid, f"{path}{part}"))
                 meshes[-1].unit = metres
         except ValueError as error:
             raise ValueError(f"path: {path}{part}: {error}") from error
         return meshes
 
     @classmethod
-    def _of_geometry(cls, geometry: mesh_files.Geometry, origin: Origin, weld: bool, source: str = "") -> Mesh:
+    def _of_geometry(
+        cls, geometry: mesh_files.Geometry, origin: Origin, weld: bool, solid: Solid, source: str = ""
+    ) -> Mesh:
         cleaned, source_vertex, source_face = mesh_files.clean(geometry, arguments.flag(weld, "weld"))
         if _is_float32(geometry.vertices):  # before welding, which joins vertices that have become equal
             _warn_of_rounding(geometry.vertices, geometry.faces, source, stacklevel=4)
-        mesh = cls(cleaned.vertices, cleaned.faces, origin)
+        mesh = cls(cleaned.vertices, cleaned.faces, origin, solid=solid)
         mesh.name = geometry.name
         mesh.welded_vertices = len(geometry.vertices) - len(cleaned.vertices)
         mesh.dropped_faces = len(geometry.faces) - len(cleaned.faces)
         mesh.source_vertex = torch.from_numpy(source_vertex)
         mesh.source_face = torch.from_numpy(source_face)
         return mesh
+
+    def as_solid(self, solid: Solid = True) -> Mesh:
+        """This mesh as a solid, or as a surface only; they share all else.
+
+        Args:
+            solid: as for the constructor.
+
+        Raises:
+            TypeError, ValueError: as for the constructor.
+
+        Example:
+            >>> rock.as_solid("auto").solid
+            True
+        """
+        other = copy.copy(self)
+        other.solid = is_solid(solid, self.vertices.numpy(), self.faces.numpy())
+        return other
 
     def state_dict(self) -> dict[str, Any]:
         """The mesh as a dictionary of tensors, numbers and its name, for `torch.save` and `torch.load` with
@@ -323,7 +386,7 @@ class Mesh:
         Example:
             >>> torch.save(rock.state_dict(), "rock.pt")
         """
-        return {name: getattr(self, name) for name in (*_STATE, *_OF_FILE, "unit")}
+        return {name: getattr(self, name) for name in (*_STATE, *_OF_FILE, *_LATER)}
 
     @classmethod
     def from_state_dict(cls, state: dict[str, Any]) -> Mesh:
@@ -339,13 +402,14 @@ class Mesh:
             >>> again = pgccd.Mesh.from_state_dict(rock.state_dict())
         """
         if isinstance(state, dict):
-            state = {"unit": None, **state}  # which former states lack
-        arguments.entries(state, (*_STATE, *_OF_FILE, "unit"))
+            state = _LATER | state
+        arguments.entries(state, (*_STATE, *_OF_FILE, *_LATER))
         points = _as_array(state["vertices"], np.float64, "vertices")
         triangles = _as_array(state["faces"], np.int64, "faces")
         _check_faces(points, triangles)
         places = [checked_point(state[name], name) for name in ("origin", "centre", "centre_offset")]
         mesh = cls.__new__(cls)
+        mesh.solid = is_solid(arguments.flag(state["solid"], "solid"), points, triangles)
         mesh._prepare(points, triangles, *places)
         for name in ("welded_vertices", "dropped_faces"):
             setattr(mesh, name, arguments.integer(state[name], name, 0, "a number >= 0"))
@@ -355,6 +419,7 @@ class Mesh:
             setattr(mesh, name, state[name])
         return mesh
 
+    solid: bool = False
     name: str | None = None
     unit: float | None = None
     welded_vertices: int = 0
@@ -367,7 +432,8 @@ class Mesh:
         counts = f"vertices={len(self.vertices)}, faces={len(self.faces)}, edges={len(self.edges)}"
         gone = {"welded_vertices": self.welded_vertices, "dropped_faces": self.dropped_faces}
         changed = "".join(f", {what}={count}" for what, count in gone.items() if count)
-        return f"Mesh({name}{counts}, radius={self.radius:g}{changed})"
+        solid = ", solid" if self.solid else ""
+        return f"Mesh({name}{counts}, radius={self.radius:g}{solid}{changed})"
 
 
 class MeshSet:
@@ -387,6 +453,7 @@ class MeshSet:
         radius: (meshes,) float64 SBV radii.
         is_centred: whether every mesh has its SBV centre at its origin.
         has_boxes: whether a mesh fills so little of its SBV that the broad phase also tests boxes.
+        has_solids: whether a mesh is a solid.
         tensors: the operators' `mesh_set` argument.
     """
 
@@ -419,8 +486,9 @@ class MeshSet:
         for index, mesh in enumerate(meshes):
             if mesh._box is not None:
                 boxes[index] = torch.from_numpy(mesh._box)
-        columns_of_all = (*joined, corners, self.offsets, centres, reaches, supports, boxes)
+        columns_of_all = (*joined, corners, self.offsets, centres, reaches, supports, boxes, *_solid_columns(meshes))
         self.tensors = [tensor.contiguous().to(device) for tensor in columns_of_all]
+        self.has_solids = any(mesh.solid for mesh in meshes)
         self.device = self.tensors[0].device
 
     @cached_property
@@ -429,6 +497,15 @@ class MeshSet:
         vertices, faces, edges = (tensor.cpu() for tensor in self.tensors[:3])
         lists, most = incidence(vertices, faces, edges, self.offsets)
         return [column.to(self.device) for column in lists], most
+
+    @cached_property
+    def _surfaces(self) -> MeshSet:
+        """The same meshes, of which none is a solid to the operators."""
+        other = copy.copy(self)
+        solids = len(_solid_columns([]))
+        other.tensors = [*self.tensors[:-solids], *(tensor[:0] for tensor in self.tensors[-solids:])]
+        other.has_solids = False
+        return other
 
     def __len__(self) -> int:
         return len(self.meshes)
@@ -446,6 +523,17 @@ class MeshSet:
             >>> meshes = meshes.to("cpu")
         """
         return MeshSet(self.meshes, device)
+
+
+def _solid_columns(meshes: Sequence[Mesh]) -> tuple[Tensor, Tensor, Tensor]:
+    """Which meshes are solids, (meshes,) uint8; the first row of each one's pieces, (meshes + 1,) int64; and a vertex
+    of each piece, int32. All empty if none is a solid.
+    """
+    if not any(mesh.solid for mesh in meshes):
+        return torch.empty(0, dtype=torch.uint8), torch.empty(0, dtype=torch.int64), torch.empty(0, dtype=torch.int32)
+    pieces = [torch.from_numpy(vertices_of_components(mesh.faces.numpy())).int() for mesh in meshes]
+    begin = torch.tensor([0, *(len(vertices) for vertices in pieces)]).cumsum(0)
+    return torch.tensor([mesh.solid for mesh in meshes], dtype=torch.uint8), begin, torch.cat(pieces)
 
 
 def _as_array(values: npt.ArrayLike | Tensor, dtype: type, name: str) -> np.ndarray:

@@ -7,7 +7,7 @@ import numpy.typing as npt
 from torch import Tensor
 
 from pgccd import arguments
-from pgccd.geometry.solids import opening
+from pgccd.geometry.solids import has_volume, opening, volumes
 
 #: A point (3,) in the coordinates of the vertices, or the name of such a point.
 Origin = npt.ArrayLike | Tensor | Literal["centroid", "center_of_mass"]
@@ -63,9 +63,7 @@ def _center_of_mass(points: np.ndarray, faces: np.ndarray, centre: np.ndarray) -
         advice = 'origin="center_of_mass" needs a closed, consistently oriented surface'
         raise ValueError(f"origin: {advice}, but {fault}")
     corners = points[faces] - centre
-    volumes = np.einsum("fk,fk->f", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
-    total = float(volumes.sum())
-    # The volume is zero within rounding.
-    if not abs(total) > 1e-12 * float(np.abs(volumes).sum()):
+    of_faces = volumes(corners)
+    if not (has_volume(of_faces) or has_volume(-of_faces)):
         raise ValueError('origin: origin="center_of_mass" needs a surface around a volume that is not zero')
-    return np.asarray(centre + (volumes[:, None] * corners.sum(axis=1)).sum(axis=0) / (4.0 * total))
+    return np.asarray(centre + (of_faces[:, None] * corners.sum(axis=1)).sum(axis=0) / (4.0 * of_faces.sum()))

@@ -1,9 +1,14 @@
 """Closed surfaces, and which points are inside of them."""
 
 from fractions import Fraction
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+
+from pgccd import arguments
+
+#: Whether the inside of a surface belongs to a body; "auto": if the surface is closed and faces outwards.
+Solid = bool | Literal["auto"]
 
 # (point, face) at a time, so that the tests of all faces fit into the cache.
 _CHUNK = 1 << 18
@@ -32,6 +37,38 @@ def opening(faces: np.ndarray) -> str | None:
         a, b = edges[np.argmax(is_open)].tolist()
         return f"no triangle passes from vertex {b} to vertex {a}"
     return None
+
+
+def is_solid(solid: Solid, points: np.ndarray, faces: np.ndarray) -> bool:
+    """Whether a mesh is a solid.
+
+    Args:
+        solid: as for `pgccd.Mesh`.
+        points: (V, 3).
+        faces: (F, 3).
+
+    Raises:
+        TypeError: `solid` is neither a bool nor "auto".
+        ValueError: it is True, and the surface is not closed or not consistently oriented.
+    """
+    if isinstance(solid, str) and solid == "auto":
+        return opening(faces) is None and has_volume(volumes(points[faces] - points[faces[0, 0]]))
+    if not arguments.flag(solid, "solid", 'True, False or "auto"'):
+        return False
+    fault = opening(faces)
+    if fault is not None:
+        raise ValueError(f"solid: solid=True needs a closed, consistently oriented surface, but {fault}")
+    return True
+
+
+def volumes(corners: np.ndarray) -> np.ndarray:
+    """(F,) six times the signed volumes of the tetrahedra of the origin and triangles with corners (F, 3, 3)."""
+    return np.einsum("fk,fk->f", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
+
+
+def has_volume(of_faces: np.ndarray) -> bool:
+    """Whether the sum of `volumes` is certainly > 0."""
+    return float(of_faces.sum()) > 1e-12 * float(np.abs(of_faces).sum())
 
 
 def vertices_of_components(faces: np.ndarray) -> np.ndarray:

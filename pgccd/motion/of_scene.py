@@ -44,6 +44,13 @@ def check_bodies(scene: Scene, motion: RigidMotion | VertexMotion) -> None:
         raise ValueError(f"motion: x_t0 has {len(motion.x_t0)} vertices, {expected}")
 
 
+def at_start(motion: RigidMotion | VertexMotion) -> RigidMotion | VertexMotion:
+    """The bodies at rest where a motion starts."""
+    if isinstance(motion, RigidMotion):
+        return RigidMotion.at_rest(motion.position_t0, motion.orientation_t0)
+    return VertexMotion(motion.x_t0, motion.x_t0)
+
+
 def check_step(scene: Scene, motion: RigidMotion | VertexMotion) -> None:
     """Raises ValueError if a motion is not of these bodies, or a value is invalid. Synchronises with a GPU."""
     check_bodies(scene, motion)

@@ -17,7 +17,7 @@ class Obstacles:
     """M bodies at rest, in one or more environments.
 
     Args:
-        meshes: the meshes.
+        meshes: the meshes. Draw a workspace that robots are inside of with faces that face inwards.
         position: (M, 3) positions of the meshes' origins, world frame; or (B, M, 3), of each of B environments apart.
             Default: (0, 0, 0).
         orientation: (M, 4) or (B, M, 4) unit quaternions (w, x, y, z), body to world. Default: (1, 0, 0, 0).
@@ -25,7 +25,7 @@ class Obstacles:
         margin: thickness, a number or (M,): a sphere is a point with its radius as margin. Default: none.
 
     Attributes:
-        meshes: as given.
+        meshes: as given; those that are watertight and face outwards as solids, so that no robot is free inside.
         mesh_index: (M,) int64.
         position, orientation: (M, 3) and (M, 4), or (B, M, 3) and (B, M, 4), float64.
         margin: (M,) float64.
@@ -54,7 +54,7 @@ class Obstacles:
             raise ValueError("meshes: expected one mesh or more, got none: leave out the obstacles if there are none")
         for index, mesh in enumerate(meshes):
             arguments.instance(mesh, f"meshes[{index}]", Mesh)
-        self.meshes = list(meshes)
+        self.meshes = [mesh if mesh.solid else mesh.as_solid("auto") for mesh in meshes]
         cpu = torch.device("cpu")
         given = list(range(len(meshes))) if mesh_index is None else mesh_index
         self.mesh_index = integer_column(given, "mesh_index", None, cpu)

@@ -106,7 +106,7 @@ class Robot:
                 alike = [each for each in surfaces if (each.infinite, each.thickness, each.group) == kind]
                 surface = joined([each.widened(half) if each.infinite else each for each in alike])
                 try:
-                    mesh = Mesh(surface.vertices, surface.faces)
+                    mesh = Mesh(surface.vertices, surface.faces, solid="auto")
                 except ValueError as error:
                     raise ValueError(f"link {link!r}: {error}") from error
                 mesh.name = link

@@ -11,16 +11,19 @@ import torch
 from torch import Tensor
 
 from pgccd import arguments, ops
-from pgccd.contacts.contacts import earliest_of_each
+from pgccd.contacts.contacts import Contacts, earliest_of_each
+from pgccd.contacts.kinds import Kind
 from pgccd.contacts.rows import Form, Rows
 from pgccd.contacts.trajectories import time_along
 from pgccd.geometry.scene import Scene
-from pgccd.motion.of_scene import in_scene, segments_as_step
+from pgccd.motion.of_scene import at_start, in_scene, segments_as_step
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
 from pgccd.search import broad
 from pgccd.search.bodies import MovingBodies
 from pgccd.search.checks import RELATIVE_TOLERANCE, check_pairs, operator_tolerance, warn_of_rounded_positions
+from pgccd.search.detect import detect_moving
+from pgccd.search.query import Query
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -38,6 +41,9 @@ class Distances(Rows):
             their margins; nan where `upper` is inf. Not certified: rounded, as world coordinates are. Where surfaces
             intersect, both are the same point, up to rounding, of the intersection.
         converged: (K,) bool: whether `upper` - `lower` is at most the tolerance, or `lower` above the cutoff.
+        inside: (K,) bool: whether a connected piece of one body is inside of the other, a solid, at the start of the
+            motion, or of a segment, and no surfaces touch there. The distance is then 0, at that time; `points` are the
+            contact's of kind `INSIDE`.
 
     Example:
         >>> near = pgccd.distance(scene, motion, cutoff=0.1)
@@ -50,8 +56,9 @@ class Distances(Rows):
     time: Tensor
     points: Tensor
     converged: Tensor
+    inside: Tensor
 
-    _names: ClassVar[tuple[str, ...]] = ("pairs", "lower", "upper", "time", "points", "converged")
+    _names: ClassVar[tuple[str, ...]] = ("pairs", "lower", "upper", "time", "points", "converged", "inside")
     _forms: ClassVar[Mapping[str, Form]] = {
         "pairs": (torch.int64, (2,)),
         "lower": (torch.float64, ()),
@@ -59,6 +66,7 @@ class Distances(Rows):
         "time": (torch.float64, ()),
         "points": (torch.float64, (2, 3)),
         "converged": (torch.bool, ()),
+        "inside": (torch.bool, ()),
     }
 
     def __repr__(self) -> str:
@@ -82,8 +90,8 @@ def distance(
 
     Bodies that stand still relative to each other, as with `RigidMotion.at_rest`, have the distance of their poses, to
     within rounding. The distance is that of surfaces, less the margins of both bodies: 0 if they intersect or touch,
-    not the depth of penetration. A body inside another one has the distance of both surfaces (`pgccd.enclosed` tells
-    the two apart). Bodies have no distance from themselves.
+    not the depth of penetration. It is also 0 from a solid that a connected piece of a body is inside of; a body inside
+    of one that is no solid has the distance of both surfaces. Bodies have no distance from themselves.
 
     Args:
         scene: the bodies.
@@ -139,12 +147,34 @@ def _of_step(
     thick = bodies.radius if scene.margin is None else bodies.radius + scene.margin
     radius = thick[wanted].amin(dim=1)
     allowed = RELATIVE_TOLERANCE * radius if tolerance < 0.0 else torch.full_like(radius, tolerance)
+    inside = torch.zeros_like(lower, dtype=torch.bool)
+    if scene.meshes.has_solids:
+        inside, at = _inside_at_start(scene, motion, wanted)
+        lower, upper, time = (torch.where(inside, 0.0, column) for column in (lower, upper, time))
+        points = torch.where(inside[:, None, None], at[:, None], points)
     converged = (upper - lower <= allowed) | (lower > cutoff)
-    found = Distances(pairs=wanted, lower=lower, upper=upper, time=time, points=points, converged=converged)
+    found = Distances(
+        pairs=wanted, lower=lower, upper=upper, time=time, points=points, converged=converged, inside=inside
+    )
     if pairs is not None:
         return found, allowed
     near = lower <= cutoff
     return _rows(found, near), allowed[near]
+
+
+def _inside_at_start(scene: Scene, motion: RigidMotion | VertexMotion, pairs: Tensor) -> tuple[Tensor, Tensor]:
+    """(P,) bool: the pairs (P, 2) of which a piece of one body is inside of the other, and no surfaces touch; and a
+    vertex of the piece (P, 3).
+    """
+    asked, row = torch.unique(pairs, dim=0, return_inverse=True)
+    inside = torch.zeros_like(asked[:, 0], dtype=torch.bool)
+    at = torch.zeros((len(asked), 3), dtype=torch.float64, device=pairs.device)
+    hits = detect_moving(MovingBodies.of(scene, at_start(motion)), Query("first", 0.0, 0.0, False), pairs=asked)
+    assert isinstance(hits, Contacts)
+    hits = hits[hits.kind == Kind.INSIDE]
+    place = torch.searchsorted(*(each[:, 0] * scene.body_count + each[:, 1] for each in (asked, hits.pairs)))
+    inside[place], at[place] = True, hits.point
+    return inside[row], at[row]
 
 
 def _rows(found: Distances, rows: Tensor) -> Distances:
@@ -170,5 +200,11 @@ def _along(scene: Scene, trajectory: Trajectory, cutoff: float, pairs: Tensor | 
     are_converged = least.scatter_reduce(0, owner, found.converged.to(torch.float64), "amin") > 0.0
     is_converged = are_converged | (nearest.upper - lower <= least.scatter_reduce(0, owner, allowed, "amin"))
     return Distances(
-        pairs=pairs, lower=lower, upper=nearest.upper, time=time, points=nearest.points, converged=is_converged
+        pairs=pairs,
+        lower=lower,
+        upper=nearest.upper,
+        time=time,
+        points=nearest.points,
+        converged=is_converged,
+        inside=nearest.inside,
     )

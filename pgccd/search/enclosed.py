@@ -12,6 +12,7 @@ from torch import Tensor
 from pgccd.geometry.mesh import Mesh
 from pgccd.geometry.scene import Scene
 from pgccd.geometry.solids import opening, vertices_of_components, winding_numbers
+from pgccd.motion.of_scene import at_start
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
 from pgccd.search import broad
@@ -91,9 +92,7 @@ def _at_rest(motion: RigidMotion | VertexMotion | Trajectory) -> RigidMotion | V
         motion._refuse_gradient()
     if isinstance(motion, Trajectory):
         motion = motion.segment(0)
-    if isinstance(motion, RigidMotion):
-        return RigidMotion.at_rest(motion.position_t0, motion.orientation_t0)
-    return VertexMotion(motion.x_t0, motion.x_t0) if isinstance(motion, VertexMotion) else motion
+    return at_start(motion) if isinstance(motion, (RigidMotion, VertexMotion)) else motion
 
 
 def _require_watertight(scene: Scene) -> None:
@@ -198,6 +197,7 @@ def _meet(
     if not len(rows):
         return np.zeros(0, dtype=bool)
     thick = copy.copy(scene)
+    thick.meshes = scene.meshes._surfaces
     thick._capacity_estimates = {}
     thick.margin = None if margin is None else torch.from_numpy(margin).to(scene.device)
     ascending = np.sort(rows, axis=1)

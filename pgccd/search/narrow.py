@@ -210,7 +210,7 @@ def find_contacts(
 def _names_features(bodies: MovingBodies, pairs: Tensor, candidates: Tensor) -> Tensor:
     """Mask of candidates with a valid pair, kind and features."""
     row, kind, *features = (column.long() for column in candidates.unbind(dim=1))
-    known = (row >= 0) & (row < len(pairs)) & (kind >= 0) & (kind <= max(Kind.names()))
+    known = (row >= 0) & (row < len(pairs)) & (kind >= 0) & (kind < len(FEATURES))
     offsets = bodies.scene.meshes.offsets.to(bodies.device)
     counts = offsets[1:] - offsets[:-1]  # vertices, faces, edges
     row, kind = torch.where(known, row, 0), torch.where(known, kind, 0)

@@ -40,7 +40,7 @@ class Bodies:
         if key not in self._known:
             try:
                 made = surface()
-                mesh = Mesh(made.vertices, made.faces)
+                mesh = Mesh(made.vertices, made.faces, solid="auto")
             except ValueError as error:
                 raise ValueError(f"{name}: {error}") from error
             mesh.name = name
@@ -85,7 +85,7 @@ class Bodies:
         for k, each in enumerate(self._surfaces):
             if each.infinite:
                 wide = each.widened(self._half)
-                meshes[k] = Mesh(wide.vertices, wide.faces)
+                meshes[k] = Mesh(wide.vertices, wide.faces, solid="auto")
                 meshes[k].name = self._meshes[k].name
         # A list: a Python float keeps all its digits.
         margin = [each.thickness for each in surfaces]

@@ -354,6 +354,7 @@ def _found(hits: Any, scene: Scene, motion: AnyMotion, notes: list[str], name: s
     hit[segment[:, None], pairs] = True
     names = ("point", "normal", "kind", "features", "status")
     point, normal, kind, features, status = (_array(getattr(hits, name))[is_row] for name in names)
+    normal = np.where(np.isnan(normal), 0.0, normal)  # of bodies inside of solids: no arrow
     return hit, Marks(
         pairs, segment, _array(toi)[is_row], point, normal, kind.astype(np.int64), features, status == Status.UNRESOLVED
     )

@@ -180,6 +180,7 @@ def _touching_vertices(animation: Animation, marks: Marks) -> dict[int, np.ndarr
     for side in range(2):
         is_face, is_vertex = marks.kind == 1 - side, marks.kind == side  # VF_AB is 0, VF_BA 1
         is_face |= marks.kind == 4 - side  # EF_AB is 3, EF_BA 4
+        is_vertex |= (marks.kind == 5) & (marks.features[:, side] >= 0)  # INSIDE
         for row in np.flatnonzero(is_face | is_vertex):
             body, feature = int(marks.bodies[row, side]), int(marks.features[row, side])
             shape = int(animation.shape_index[body])

@@ -102,7 +102,7 @@ class Live:
         points = normals = np.zeros((0, 3))
         if isinstance(hits, ContactColumns):
             is_row = hits.pairs[:, 0] >= 0
-            points, normals = (column[is_row].cpu().numpy() for column in (hits.point, hits.normal))
+            points, normals = (column[is_row].nan_to_num().cpu().numpy() for column in (hits.point, hits.normal))
         for name in ("/points", "/normals"):
             if name in self._handles:
                 self._handles.pop(name).remove()

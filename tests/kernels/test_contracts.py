@@ -12,6 +12,7 @@ from support.shapes import approaching
 
 import pgccd
 from pgccd import broad, narrow, sim
+from pgccd.contacts.kinds import FEATURES
 from pgccd.motion.validation import CHECK_NUMBERS, LARGEST_COORDINATE, LARGEST_TURN, UNIT_TOLERANCE
 from pgccd.runtime.sizes import COUNTS_OF_PAIRS, Counts
 from pgccd.search.detect import detect_moving
@@ -70,7 +71,7 @@ def test_enumerations(header: str, name: str, expected: dict[str, int]) -> None:
     [
         ("kernels/broad/broad.h", "kBroadPhases", broad.BROAD_PHASE_NUMBERS),
         ("kernels/narrow/narrow.h", "kReports", narrow.REPORTS),
-        ("core/candidate.h", "kFeatureKinds", narrow.Kind.names()),
+        ("core/candidate.h", "kFeatureKinds", FEATURES),
     ],
 )
 def test_numbers_of_enumerators(header: str, constant: str, names: Any) -> None:

@@ -136,8 +136,8 @@ MUTANTS = [
     Mutant(
         "distance-along-lower-of-nearest",
         MEASURE,
-        "lower=lower, upper=nearest.upper",
-        "lower=nearest.lower, upper=nearest.upper",
+        "lower=lower,\n        upper=nearest.upper",
+        "lower=nearest.lower,\n        upper=nearest.upper",
         ON_DISTANCE,
         switched=False,
     ),

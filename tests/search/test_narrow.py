@@ -139,7 +139,7 @@ def test_no_candidates(device: torch.device) -> None:
 
 
 def test_names_of_the_outcomes() -> None:
-    assert pgccd.Kind.names() == {0: "VF_AB", 1: "VF_BA", 2: "EE", 3: "EF_AB", 4: "EF_BA"}
+    assert pgccd.Kind.names() == {0: "VF_AB", 1: "VF_BA", 2: "EE", 3: "EF_AB", 4: "EF_BA", 5: "INSIDE"}
     assert pgccd.Status.names() == {0: "FREE", 1: "TOUCH", 2: "UNRESOLVED"}
     # Subclasses of int are constants to torch.compile, whatever they are compared with.
     assert type(pgccd.Kind.EE) is int and type(pgccd.Status.FREE) is int

@@ -65,6 +65,7 @@ class RandomScene:
     def __str__(self) -> str:
         filters = "".join(f", {name}" for name in self.filters)
         filters += "" if self.exclude is None else f", {len(self.exclude)} excluded pairs"
+        filters += ", solids" if any(mesh.solid for mesh in self.meshes) else ""
         arguments = ", ".join(f"{name}={value!r}" for name, value in self.arguments.items())
         return f"seed {self.seed}: {len(self.mesh_index)} bodies, {self.layout}, {self.kind}{filters}; {arguments}"
 
@@ -91,6 +92,7 @@ def random_scene(seed: int) -> RandomScene:
     on_lattice = layout in ("lattice", "resting")
     count = int(rng.integers(1 if kind == "deforming" else 2, _MOST_BODIES))
     meshes = [_cube(rng) for _ in range(2)] if on_lattice else [_mesh(rng, layout) for _ in range(3)]
+    meshes = some_solids(np.random.default_rng([seed, 3]), meshes)
     mesh_index = rng.integers(len(meshes), size=count)
     sizes = np.array([meshes[k].radius for k in mesh_index])
     steps = int(rng.integers(2, 4)) if "trajectory" in kind else 1
@@ -137,6 +139,14 @@ def random_scene(seed: int) -> RandomScene:
         arguments,
         excluded(np.random.default_rng([seed, 2]), count),
     )
+
+
+def some_solids(rng: np.random.Generator, meshes: list[pgccd.Mesh]) -> list[pgccd.Mesh]:
+    """In half of the scenes some of the closed meshes are solids, the first one larger, so that others are inside."""
+    if rng.integers(2):
+        return meshes
+    larger = pgccd.Mesh(5.0 * meshes[0].vertices.numpy(), meshes[0].faces)
+    return [mesh.as_solid("auto") if rng.uniform() < 0.7 else mesh for mesh in [larger, *meshes[1:]]]
 
 
 def excluded(rng: np.random.Generator, count: int) -> Tensor | None:

@@ -5,6 +5,7 @@
 
 #include "kernels/narrow/pair_points.h"
 #include "kernels/narrow/precision_ladder.h"
+#include "kernels/narrow/winding_item.h"
 
 namespace pgccd {
 
@@ -22,12 +23,16 @@ PGCCD_HD bool names_features(const Bodies& bodies, const int64_t* pairs, int64_t
     const int64_t body = pairs[2 * int64_t{candidate.pair} + side];
     if (!is_sound(bodies, body)) return false;
     const MeshOffsets* rows = bodies.meshes.offsets + bodies.mesh_index[body];
-    const bool is_vertex = kind == (side == 0 ? FeatureKind::kVertexFace : FeatureKind::kFaceVertex);
+    const bool is_inside = kind == (side == 0 ? FeatureKind::kInside : FeatureKind::kContains);
+    const bool is_vertex = is_inside || kind == (side == 0 ? FeatureKind::kVertexFace : FeatureKind::kFaceVertex);
     const bool is_edge =
         kind == FeatureKind::kEdgeEdge || kind == (side == 0 ? FeatureKind::kEdgeFace : FeatureKind::kFaceEdge);
     const int64_t edges_or_faces = is_edge ? rows[1].edge - rows[0].edge : rows[1].face - rows[0].face;
     const int64_t count = is_vertex ? rows[1].vertex - rows[0].vertex : edges_or_faces;
     if (!is_within(side == 0 ? candidate.feature_i : candidate.feature_j, count)) return false;
+    if (is_inside && !is_solid(bodies.meshes, bodies.mesh_index[pairs[2 * int64_t{candidate.pair} + 1 - side]])) {
+      return false;
+    }
   }
   return true;
 }
@@ -154,12 +159,31 @@ PGCCD_HD_RARE Crossing crossing_of(const Bodies& bodies, const Pair& pair, const
   return passes_through(pair.edge_and_face(bodies, c), pair.point_error, points, exactly);
 }
 
+PGCCD_HD Outcome<double> at_start(bool is_contact) {
+  return is_contact ? Outcome<double>{Status::kTouch, 0.0, 0.0, 0.0}
+                    : Outcome<double>{Status::kFree, static_cast<double>(INFINITY), 0.0, 0.0};
+}
+
 template <class Bodies, class Pair, class Fine>
 PGCCD_HD Outcome<double> solve_crossing(const Bodies& bodies, const Pair& pair, const Fine& fine,
                                         const Candidate& candidate) {
-  const bool passes = crossing_of(bodies, pair, fine, candidate, true) == Crossing::kPasses;
-  return passes ? Outcome<double>{Status::kTouch, 0.0, 0.0, 0.0}
-                : Outcome<double>{Status::kFree, static_cast<double>(INFINITY), 0.0, 0.0};
+  return at_start(crossing_of(bodies, pair, fine, candidate, true) == Crossing::kPasses);
+}
+
+template <class Bodies, class Pair, class Fine>
+PGCCD_HD Outcome<double> solve_enclosure(const Bodies& bodies, const Pair& pair, const Fine& fine,
+                                         const Candidate& candidate) {
+  const bool is_of_i = candidate.kind == static_cast<int32_t>(FeatureKind::kInside);
+  const int32_t vertex = is_of_i ? candidate.feature_i : candidate.feature_j;
+  return at_start(winding_number(bodies, pair, fine, is_of_i ? 0 : 1, vertex) != 0);
+}
+
+// Of a candidate that the bodies at t = 0 decide.
+template <class Bodies, class Pair, class Fine>
+PGCCD_HD Outcome<double> solve_start(const Bodies& bodies, const Pair& pair, const Fine& fine,
+                                     const Candidate& candidate) {
+  return is_enclosure(candidate) ? solve_enclosure(bodies, pair, fine, candidate)
+                                 : solve_crossing(bodies, pair, fine, candidate);
 }
 
 }  // namespace pgccd

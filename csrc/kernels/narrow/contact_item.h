@@ -18,9 +18,11 @@ struct ContactPlace {
 template <class Columns, class Found>
 PGCCD_HD void store_contact(Columns& columns, int64_t row, const Candidate& candidate, const Found& found,
                             const ContactPlace& place) {
-  columns.kind[row] = static_cast<int8_t>(candidate.kind);
-  columns.features[2 * row] = candidate.feature_i;
-  columns.features[2 * row + 1] = candidate.feature_j;
+  // One kind for solids of either side: that of the vertex has a feature, the other -1.
+  const int32_t inside = static_cast<int32_t>(FeatureKind::kInside);
+  columns.kind[row] = static_cast<int8_t>(smaller(candidate.kind, inside));
+  columns.features[2 * row] = candidate.kind > inside ? -1 : candidate.feature_i;
+  columns.features[2 * row + 1] = candidate.kind == inside ? -1 : candidate.feature_j;
   columns.status[row] = static_cast<int8_t>(found.status);
   columns.toi[row] = found.toi;
   columns.coordinates[2 * row] = place.u;
@@ -126,10 +128,21 @@ PGCCD_HD_RARE ContactPlace place_crossing(const Bodies& bodies, const Pair& pair
   return {at.u, at.v, point, unit_or_zero(normal)};
 }
 
+// A vertex inside of a solid at t = 0: no direction leads out of it.
+template <class Bodies, class Pair>
+PGCCD_HD ContactPlace place_enclosure(const Bodies& bodies, const Pair& pair, const Candidate& candidate) {
+  const bool is_of_i = candidate.kind == static_cast<int32_t>(FeatureKind::kInside);
+  const int64_t vertex = is_of_i ? candidate.feature_i : candidate.feature_j;
+  const Vec3<double> offset = pair.edge_and_face(bodies, {{vertex, vertex}, {0, 0, 0}, !is_of_i}).point[0];
+  const auto nan = static_cast<double>(NAN);
+  return {0.0, 0.0, frame_origin(bodies, pair, !is_of_i, 0.0) + offset, {nan, nan, nan}};
+}
+
 }  // namespace contact_detail
 
 template <class Bodies, class Pair>
 PGCCD_HD ContactPlace contact_place(const Bodies& bodies, const Pair& pair, const Candidate& candidate, double toi) {
+  if (is_enclosure(candidate)) return contact_detail::place_enclosure(bodies, pair, candidate);
   if (is_crossing(candidate)) {
     return contact_detail::place_crossing(bodies, pair,
                                           crossing_vertices(bodies.meshes, pair.mesh[0], pair.mesh[1], candidate));

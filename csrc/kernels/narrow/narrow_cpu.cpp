@@ -53,8 +53,8 @@ void solve_pair(const Bodies& bodies, const PairOf<Bodies>& pair, const NarrowIn
   };
   const auto solve = [&](int64_t c) {
     const Candidate& candidate = candidates[c];
-    const Outcome<double> outcome = is_crossing(candidate)
-                                        ? solve_crossing(bodies, pair, fine, candidate)
+    const Outcome<double> outcome = is_of_start(candidate)
+                                        ? solve_start(bodies, pair, fine, candidate)
                                         : solve_candidate(bodies, pair, candidate, input.settings, latest());
     if (!is_contact(outcome.status)) return;
     keep(c, outcome);

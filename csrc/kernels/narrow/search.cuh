@@ -27,7 +27,7 @@ struct SearchCounters {
   uint32_t blocks_done;
   int64_t rows;  // number of rows to report
 
-  // Capacity needed: edges that pass through faces are contacts, but were no open candidates.
+  // Capacity needed: what the bodies at t = 0 decide are contacts, but were no open candidates.
   PGCCD_HD uint32_t needed() const { return larger(open, contacts); }
 };
 

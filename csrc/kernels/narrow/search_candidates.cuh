@@ -28,13 +28,13 @@ __device__ inline void leave_open(const Search& search, int64_t at, const Progre
   if (search.least != nullptr) atomicMin(search.least + pair, toi_bits(progress.t));
 }
 
-// An edge that may pass through a face at t = 0. These are few, and decided by the first phase that searches.
+// A candidate that the bodies at t = 0 decide. These are few, and decided by the first phase that searches.
 template <class Bodies>
-__device__ void search_crossing(const Bodies& bodies, const Search& search, int64_t row, const Candidate& candidate) {
+__device__ void search_start(const Bodies& bodies, const Search& search, int64_t row, const Candidate& candidate) {
   if (!prospect_of(search, candidate.pair).is_needed) return;
   const auto pair = pair_of(bodies, search.input, candidate);
   const auto fine = [&] { return pair.fine(bodies); };
-  report(search, static_cast<int32_t>(row), candidate.pair, solve_crossing(bodies, pair, fine, candidate));
+  report(search, static_cast<int32_t>(row), candidate.pair, solve_start(bodies, pair, fine, candidate));
 }
 
 // One thread per candidate. The few candidates of a small search are all left to the plain phase.
@@ -55,8 +55,8 @@ __global__ void __launch_bounds__(kBlockThreads, 3) search_quickly(Bodies bodies
   for (int64_t k = thread; k < count; k += stride) {
     const int64_t c = candidates.place(k);
     const Candidate candidate = candidates.items[c];
-    if (is_crossing(candidate)) {
-      search_crossing(bodies, search, c, candidate);
+    if (is_of_start(candidate)) {
+      search_start(bodies, search, c, candidate);
       continue;
     }
     const auto pair = pair_of(bodies, search.input, candidate);
@@ -76,7 +76,7 @@ __device__ void solve_open(const Bodies& bodies, const Search& search, uint32_t 
   const Prospect prospect = prospect_of(search, open.pair);
   if (!prospect.is_needed || open.t > prospect.latest) return;
   const Candidate candidate = search.input.candidates.items[open.row];
-  if (is_crossing(candidate)) return search_crossing(bodies, search, open.row, candidate);
+  if (is_of_start(candidate)) return search_start(bodies, search, open.row, candidate);
   const auto pair = pair_of(bodies, search.input, candidate);
   const Outcome<double> outcome =
       solve_plainly(bodies, pair, candidate, search.input.settings, prospect.latest, open.progress());

@@ -30,12 +30,20 @@ class PairSearch {
 
   ContactRows search() {
     if (narrow_.report == Report::kAll) return search_at_once();
+    const ContactRows found = search_surfaces();
+    const CandidateList enclosures = list_enclosures(executor_, bodies_, traversal_);
+    if (enclosures.size() == 0) return found;
+    const std::vector<double> any_time(traversal_.pair_count, std::numeric_limits<double>::infinity());
+    return first_of_each_pair(found, solve(enclosures), any_time);
+  }
+
+ private:
+  ContactRows search_surfaces() {
     if (narrow_.report == Report::kEarliest) return search_earliest();
     if (narrow_.report == Report::kAny) return search_any();
     return search_until(std::vector<double>(traversal_.pair_count, 1.0), kAllLeaves);
   }
 
- private:
   ContactRows search_at_once() {
     const CandidateList list = list_candidates(executor_, bodies_, traversal_);
     counts_[kNodeTests] += list.node_tests;

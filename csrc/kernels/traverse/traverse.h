@@ -78,6 +78,10 @@ struct CandidateList {
 template <class Bodies>
 CandidateList list_candidates(const Executor& executor, const Bodies& bodies, const TraverseInput& input);
 
+// Of these only the vertices that may be inside of a solid.
+template <class Bodies>
+CandidateList list_enclosures(const Executor& executor, const Bodies& bodies, const TraverseInput& input);
+
 // The same in two stages, the first of which finds the pairs of leaves that may meet.
 struct FoundLeaves {
   std::vector<LeafPair> pairs;  // by body pair

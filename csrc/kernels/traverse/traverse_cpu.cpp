@@ -3,6 +3,7 @@
 
 #include <optional>
 
+#include "core/enclosures.h"
 #include "kernels/traverse/support_item.h"
 #include "kernels/traverse/traverse.h"
 #include "kernels/traverse/visit_leaves_host.h"
@@ -11,6 +12,7 @@ namespace pgccd {
 namespace {
 
 constexpr int64_t kTaskGrain = 8;
+constexpr int64_t kPairGrain = 256;
 
 struct Task {
   int32_t pair;
@@ -229,6 +231,21 @@ CandidateList list_candidates(const Executor& executor, const Bodies& bodies, co
     return true;
   };
   list.parts = descend_all<Candidate>(executor, bodies, input, list.node_tests, append);
+  for (auto& part : list_enclosures(executor, bodies, input).parts) list.parts.push_back(std::move(part));
+  return list;
+}
+
+template <class Bodies>
+CandidateList list_enclosures(const Executor& executor, const Bodies& bodies, const TraverseInput& input) {
+  CandidateList list;
+  if (bodies.meshes.solids.is_solid == nullptr || !input.settings.tests_start) return list;
+  list.parts.resize((input.pair_count + kPairGrain - 1) / kPairGrain);
+  parallel_chunks(executor, input.pair_count, kPairGrain, [&](int, int64_t begin, int64_t end) {
+    auto& part = list.parts[begin / kPairGrain];
+    for (int64_t pair = begin; pair < end; ++pair) {
+      for_each_enclosure(bodies, input.pairs, pair, [&](const Candidate& c) { part.push_back(c); });
+    }
+  });
   return list;
 }
 
@@ -273,6 +290,8 @@ CandidateList visit_leaf_pairs(const Executor& executor, const Bodies& bodies, c
 
 template void traverse(const Executor&, const RigidBodies&, const TraverseInput&, const CandidateOutput&, int64_t*);
 template void traverse(const Executor&, const DeformingBodies&, const TraverseInput&, const CandidateOutput&, int64_t*);
+template CandidateList list_enclosures(const Executor&, const RigidBodies&, const TraverseInput&);
+template CandidateList list_enclosures(const Executor&, const DeformingBodies&, const TraverseInput&);
 template CandidateList list_candidates(const Executor&, const RigidBodies&, const TraverseInput&);
 template CandidateList list_candidates(const Executor&, const DeformingBodies&, const TraverseInput&);
 template FoundLeaves find_leaf_pairs(const Executor&, const RigidBodies&, const TraverseInput&, size_t);

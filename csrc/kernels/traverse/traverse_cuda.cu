@@ -2,6 +2,7 @@
 // the counts then show whether everything fit.
 #include <cub/cub.cuh>
 
+#include "core/enclosures.h"
 #include "kernels/launch.cuh"
 #include "kernels/traverse/cull_leaves.cuh"
 #include "kernels/traverse/descend.cuh"
@@ -102,6 +103,7 @@ struct Traversal {
   CandidateSink enqueue(const TraverseListSizes& capacity, int64_t launches, const SearchFirstPart& search) {
     CandidateSink out;
     const LeafPairList leaves = start(capacity, out);
+    list_enclosures(out);
     for (int launch = 0; launch <= launches; ++launch) descend_once(launch, launch == launches, leaves);
     if (search) {
       visit_in_order(leaves, out, search);
@@ -263,6 +265,19 @@ struct Traversal {
                                           : resident_blocks_of(context_, kernel);
       launch_kernel(context_, kernel, blocks, kBlockThreads, pairs_, is_last ? kLastLaunch : launch, tasks, leaves,
                     &counters_->node_tests);
+    });
+  }
+
+  // Vertices that may be inside of a solid.
+  void list_enclosures(CandidateSink out) {
+    if (bodies_.meshes.solids.is_solid == nullptr || !input_.settings.tests_start) return;
+    const Pairs<Bodies> pairs = pairs_;
+    const int64_t* rows = input_.pairs;
+    for_each_item(context_, input_.pair_count, [=] __device__(int64_t row) {
+      if (row >= pairs.count()) return;
+      for_each_enclosure(pairs.bodies, rows, row, [&](const Candidate& candidate) {
+        out.put(false, warp_append(&out.counts->back), candidate);
+      });
     });
   }
 
