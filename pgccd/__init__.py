@@ -13,7 +13,8 @@ from pgccd.contacts.contacts import CollidingPairs, Contacts, Stats
 from pgccd.contacts.kinds import Kind, Status
 from pgccd.contacts.padded import PaddedCollidingPairs, PaddedContacts
 from pgccd.contacts.trajectories import TrajectoryContacts
-from pgccd.geometry.mesh import Mesh, MeshSet
+from pgccd.geometry.mesh import Mesh
+from pgccd.geometry.mesh_set import MeshSet
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.rotation import integrate_orientation

@@ -25,7 +25,8 @@ from pgccd.distributed.comm.exchange import Columns, make_route, take_rows
 from pgccd.distributed.comm.interface import Alone, Comm
 from pgccd.distributed.launch.agreement import require_agreement, together
 from pgccd.geometry.digest import meshes_digest
-from pgccd.geometry.mesh import Mesh, MeshSet
+from pgccd.geometry.mesh import Mesh
+from pgccd.geometry.mesh_set import MeshSet
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion
 from pgccd.runtime.stages import StageClock

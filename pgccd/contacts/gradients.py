@@ -8,7 +8,7 @@ from torch import Tensor
 from pgccd.contacts.contacts import Contacts
 from pgccd.contacts.derivatives import Corners, differentiate
 from pgccd.contacts.kinds import EDGE, FACE, FEATURES, VERTEX, Kind, Status
-from pgccd.geometry.mesh import MeshSet
+from pgccd.geometry.mesh_set import MeshSet
 from pgccd.geometry.scene import Scene
 from pgccd.motion.differentiable import oriented, rows_of, turned, with_gradient_of
 from pgccd.motion.paths import RigidMotion, VertexMotion

@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import warnings
 from collections.abc import Sequence
-from functools import cached_property
 from os import PathLike
 from typing import Any, Literal
 
@@ -17,9 +16,8 @@ from torch import Tensor
 from pgccd import _host, arguments
 from pgccd.geometry import mesh_files, shapes
 from pgccd.geometry.boxes import elongated_box
-from pgccd.geometry.incidence import incidence
 from pgccd.geometry.origin import Origin, checked_origin, checked_point, origin_point
-from pgccd.geometry.solids import Solid, is_solid, vertices_of_components
+from pgccd.geometry.solids import Solid, is_solid
 
 # Maximum number of triangles per leaf of the hierarchy: one per lane of a vector unit.
 LEAF_SIZE = 8
@@ -434,106 +432,6 @@ class Mesh:
         changed = "".join(f", {what}={count}" for what, count in gone.items() if count)
         solid = ", solid" if self.solid else ""
         return f"Mesh({name}{counts}, radius={self.radius:g}{solid}{changed})"
-
-
-class MeshSet:
-    """Meshes concatenated for the kernels, on one device. `tensors` is the operators' `mesh_set` argument.
-
-    Args:
-        meshes: one or more `Mesh`.
-        device: of the tensors, as resolved by torch: "cuda" becomes "cuda:0".
-
-    Raises:
-        TypeError, ValueError: `meshes` is not a list of at least one mesh, or `device` is not a device.
-
-    Attributes:
-        meshes: the meshes.
-        offsets: (meshes + 1, 5) int64: first rows of each mesh's vertices, faces, edges, node blocks and leaf points.
-            The last row holds the totals.
-        radius: (meshes,) float64 SBV radii.
-        is_centred: whether every mesh has its SBV centre at its origin.
-        has_boxes: whether a mesh fills so little of its SBV that the broad phase also tests boxes.
-        has_solids: whether a mesh is a solid.
-        tensors: the operators' `mesh_set` argument.
-    """
-
-    def __init__(self, meshes: Sequence[Mesh], device: torch.device | str = "cpu") -> None:
-        if isinstance(meshes, (Mesh, str)) or not isinstance(meshes, Sequence):
-            hint = ": write [mesh]" if isinstance(meshes, Mesh) else ""
-            raise TypeError(f"meshes: expected a list of meshes, got {arguments.describe(meshes)}{hint}")
-        if not meshes:
-            raise ValueError("meshes: expected at least one Mesh")
-        device = arguments.device(device)
-        for index, mesh in enumerate(meshes):
-            arguments.instance(mesh, f"meshes[{index}]", Mesh)
-        self.meshes = list(meshes)
-        counts = torch.tensor(
-            [[len(rows) for rows in (m.vertices, m.faces, m.edges, m._node_links, m._leaf_points)] for m in meshes]
-        )
-        self.offsets = torch.cat([torch.zeros((1, 5), dtype=torch.int64), counts.cumsum(0)])
-        self.radius = torch.tensor([m.radius for m in meshes], dtype=torch.float64, device=device)
-        columns = ("vertices", "faces", "edges", "_triangles", "_node_blocks", "_node_links", "_leaf_points")
-        joined = [torch.cat([getattr(m, column) for m in meshes]) for column in columns]
-        # Padded, so that eight neighbours can be loaded at the last triangle.
-        corners = torch.nn.functional.pad(torch.cat([m._corners for m in meshes], dim=1), (0, LEAF_SIZE))
-        self.is_centred = not any(bool(m.centre_offset.any()) for m in meshes)
-        off_centre = [] if self.is_centred else meshes
-        centres = torch.cat([torch.empty((0, 3), dtype=torch.float64), *(m.centre_offset[None] for m in off_centre)])
-        reaches = torch.tensor([m.reach for m in off_centre], dtype=torch.float64)
-        supports = torch.cat([m._node_supports for m in meshes])
-        self.has_boxes = any(m._box is not None for m in meshes)
-        boxes = torch.zeros((len(meshes) if self.has_boxes else 0, 4, 3), dtype=torch.float64)
-        for index, mesh in enumerate(meshes):
-            if mesh._box is not None:
-                boxes[index] = torch.from_numpy(mesh._box)
-        columns_of_all = (*joined, corners, self.offsets, centres, reaches, supports, boxes, *_solid_columns(meshes))
-        self.tensors = [tensor.contiguous().to(device) for tensor in columns_of_all]
-        self.has_solids = any(mesh.solid for mesh in meshes)
-        self.device = self.tensors[0].device
-
-    @cached_property
-    def _incidence(self) -> tuple[list[Tensor], int]:
-        """Which faces and edges meet, see `incidence`; on the meshes' device. Made when first asked for."""
-        vertices, faces, edges = (tensor.cpu() for tensor in self.tensors[:3])
-        lists, most = incidence(vertices, faces, edges, self.offsets)
-        return [column.to(self.device) for column in lists], most
-
-    @cached_property
-    def _surfaces(self) -> MeshSet:
-        """The same meshes, of which none is a solid to the operators."""
-        other = copy.copy(self)
-        solids = len(_solid_columns([]))
-        other.tensors = [*self.tensors[:-solids], *(tensor[:0] for tensor in self.tensors[-solids:])]
-        other.has_solids = False
-        return other
-
-    def __len__(self) -> int:
-        return len(self.meshes)
-
-    def __repr__(self) -> str:
-        return f"MeshSet(meshes={len(self)}, device={self.device})"
-
-    def to(self, device: torch.device | str) -> MeshSet:
-        """A copy on another device.
-
-        Raises:
-            TypeError, ValueError: it is not a device.
-
-        Example:
-            >>> meshes = meshes.to("cpu")
-        """
-        return MeshSet(self.meshes, device)
-
-
-def _solid_columns(meshes: Sequence[Mesh]) -> tuple[Tensor, Tensor, Tensor]:
-    """Which meshes are solids, (meshes,) uint8; the first row of each one's pieces, (meshes + 1,) int64; and a vertex
-    of each piece, int32. All empty if none is a solid.
-    """
-    if not any(mesh.solid for mesh in meshes):
-        return torch.empty(0, dtype=torch.uint8), torch.empty(0, dtype=torch.int64), torch.empty(0, dtype=torch.int32)
-    pieces = [torch.from_numpy(vertices_of_components(mesh.faces.numpy())).int() for mesh in meshes]
-    begin = torch.tensor([0, *(len(vertices) for vertices in pieces)]).cumsum(0)
-    return torch.tensor([mesh.solid for mesh in meshes], dtype=torch.uint8), begin, torch.cat(pieces)
 
 
 def _as_array(values: npt.ArrayLike | Tensor, dtype: type, name: str) -> np.ndarray:

@@ -12,7 +12,8 @@ import torch
 from torch import Tensor
 
 from pgccd import arguments
-from pgccd.geometry.mesh import Mesh, MeshSet
+from pgccd.geometry.mesh import Mesh
+from pgccd.geometry.mesh_set import MeshSet
 from pgccd.geometry.scene_columns import (
     bool_column,
     integer_column,

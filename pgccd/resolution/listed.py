@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from pgccd import ops
-from pgccd.geometry.mesh import MeshSet
+from pgccd.geometry.mesh_set import MeshSet
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.resolution.rounds import Found, RoundSearch, found_by, ids_of
 from pgccd.runtime.sizes import COUNT_ROWS, EXACTLY, BufferSizes

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from pgccd import arguments, ops
-from pgccd.geometry.mesh import MeshSet
+from pgccd.geometry.mesh_set import MeshSet
 from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
 from pgccd.motion.of_scene import check_bodies, scene_columns
 from pgccd.motion.paths import RigidMotion, VertexMotion

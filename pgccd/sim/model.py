@@ -11,7 +11,8 @@ import torch
 from torch import Tensor
 
 from pgccd import arguments, ops
-from pgccd.geometry.mesh import Mesh, MeshSet
+from pgccd.geometry.mesh import Mesh
+from pgccd.geometry.mesh_set import MeshSet
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion
 from pgccd.sim.nanorobot import robot_mesh

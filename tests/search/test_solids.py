@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from oracle.winding import winding_numbers
 from support import solids
 from support.shapes import tensors, unit_quaternions
 from support.solids import Surface
 
 import pgccd
 from pgccd.geometry.digest import meshes_digest
-from pgccd.geometry.solids import opening, vertices_of_components, winding_numbers
+from pgccd.geometry.solids import opening, vertices_of_components
 
 INSIDE = pgccd.Kind.INSIDE
 UPRIGHT = [1.0, 0.0, 0.0, 0.0]

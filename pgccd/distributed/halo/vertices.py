@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from pgccd.distributed.comm.exchange import Columns, Route, pack, take_rows, unpack
-from pgccd.geometry.mesh import MeshSet
+from pgccd.geometry.mesh_set import MeshSet
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from pgccd.distributed.comm.interface import Comm
 from pgccd.distributed.guard import of_all_ranks
 from pgccd.distributed.halo.vertices import Vertices, vertex_counts
 from pgccd.distributed.launch.agreement import together
-from pgccd.geometry.mesh import MeshSet
+from pgccd.geometry.mesh_set import MeshSet
 from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory

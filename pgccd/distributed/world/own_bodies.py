@@ -10,7 +10,7 @@ from pgccd.distributed.detection.ids import rows_of
 from pgccd.distributed.detection.report import first_toi_of, sum_per_body
 from pgccd.distributed.halo.vertices import Vertices
 from pgccd.distributed.world.input_checks import require_ids, scene_of
-from pgccd.geometry.mesh import MeshSet
+from pgccd.geometry.mesh_set import MeshSet
 from pgccd.geometry.scene import Scene
 
 

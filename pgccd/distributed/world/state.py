@@ -32,7 +32,7 @@ from pgccd.distributed.world.input_checks import (
 )
 from pgccd.distributed.world.options import NewBodies, WorldOptions
 from pgccd.geometry.digest import meshes_digest
-from pgccd.geometry.mesh import MeshSet
+from pgccd.geometry.mesh_set import MeshSet
 from pgccd.geometry.scene import Scene
 from pgccd.geometry.scene_columns import pairs_never_tested
 from pgccd.motion.of_scene import check_scene

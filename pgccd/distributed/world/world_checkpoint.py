@@ -29,7 +29,8 @@ from pgccd.distributed.world.input_checks import SCENE_COLUMNS
 from pgccd.distributed.world.options import NewBodies
 from pgccd.distributed.world.state import WorldState, state_given
 from pgccd.geometry.digest import meshes_digest
-from pgccd.geometry.mesh import Mesh, MeshSet
+from pgccd.geometry.mesh import Mesh
+from pgccd.geometry.mesh_set import MeshSet
 from pgccd.geometry.scene import Scene
 
 KIND = "world"
