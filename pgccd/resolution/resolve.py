@@ -111,8 +111,9 @@ def resolve(
         min_separation: length >= 0; bodies at most this far apart touch, as for `detect`.
         tolerance, broad_phase: as for `detect`. Bodies that start further apart than min_separation may move, even if
             they are within the tolerance.
-        initial: "report": surfaces that intersect at t = 0 count as touching. "assume_free": the caller guarantees that
-            none do, for example because the previous step was resolved; the test is left out.
+        initial: "report": surfaces that intersect and bodies inside of solids at t = 0 count as touching.
+            "assume_free": the caller guarantees that there are none, for example because the previous step was
+            resolved; the tests are left out.
         capacity: of each search and of the lists of pairs. Then sizes are fixed, the call does not synchronise, and it
             can be captured by `torch.cuda.graph` (for deforming bodies, call it once before).
         rounds: with `capacity`, how many rounds are made, 8 by default: superfluous ones change nothing. If the last

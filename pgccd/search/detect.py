@@ -104,8 +104,9 @@ def detect(
     triangles. Surfaces that are disjoint at t = 0 first meet where a vertex meets a face or two edges meet; surfaces
     that intersect at t = 0 are reported with toi 0 (kinds `EF_AB` and `EF_BA` where an edge passes through a face).
     The same holds within a body that deforms (`VertexMotion`) and has `self_collision` set in the scene, for features
-    that share no vertex; such contacts have the pair (i, i). A body wholly inside another, without contact, does not
-    touch its surface: see `pgccd.enclosed`.
+    that share no vertex; such contacts have the pair (i, i). A body of which a connected piece is inside of a solid
+    (`Mesh(solid=True)`) at t = 0 touches the solid, with kind `INSIDE` and toi 0. A body inside of one that is no solid
+    touches nothing: see `pgccd.enclosed`.
 
     If columns of the motion, margins or min_separation (then a tensor ()) require grad, so do the times, points,
     coordinates and normals of the contacts: see docs/how-to/gradients.md. The bits of the result do not depend on it.
@@ -122,8 +123,9 @@ def detect(
         tolerance: a reported contact comes within min_separation + tolerance (length). Default: 1e-6 of the smaller
             SBV radius of each pair.
         nonzero_toi: never report toi = 0 for a pair that starts further apart than min_separation (beyond rounding).
-        initial: "report": surfaces that intersect at t = 0 are reported. "assume_free": the caller guarantees that none
-            do, for example because a previous step ended before its first contact; the test is left out.
+        initial: "report": surfaces that intersect and bodies inside of solids at t = 0 are reported. "assume_free": the
+            caller guarantees that there are none, for example because a previous step ended before its first contact;
+            the tests are left out.
         normals: "features": `Contacts.normal` is the direction between the nearest points of the two features. Where a
             body slides over an edge between coplanar faces, that may be any. "surface": it is replaced by the nearest
             direction that the faces around these points admit: of a flat or concave edge the normal of a face, of a
