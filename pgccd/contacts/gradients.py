@@ -26,8 +26,8 @@ def add_gradients(
     """
     position, velocity = corner_points(scene, motion, found.pairs, found.kind, found.features, found.toi)
     between = torch.zeros_like(found.toi) + separation
-    if scene.margin is not None:
-        between = between + rows_of(scene.margin, found.pairs).sum(1)
+    if (thickness := scene._thickness) is not None:
+        between = between + rows_of(thickness, found.pairs).sum(1)
     # Not where features touch at the start, or where the search did not reach a contact.
     sound = (found.toi > 0.0) & (found.status == Status.TOUCH) & (found.kind <= Kind.EE)
     corners = Corners(position, velocity.detach(), found.kind == Kind.EE, between)

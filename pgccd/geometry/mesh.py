@@ -35,7 +35,7 @@ FEW_UNITS = 4
 # Entries of a mesh's state_dict: what it is built from, and where it comes from.
 _STATE = ("vertices", "faces", "origin", "centre", "centre_offset")
 # Entries that former states lack.
-_LATER: dict[str, Any] = {"unit": None, "solid": False}
+_LATER: dict[str, Any] = {"unit": None, "solid": False, "thickness": 0.0}
 #: Units that lengths of files are converted to.
 Unit = Literal["m", "cm", "mm", "in", "ft"]
 _OF_FILE = ("name", "welded_vertices", "dropped_faces", "source_vertex", "source_face")
@@ -65,6 +65,8 @@ class Mesh:
             (`Kind.INSIDE`). True needs a closed and consistently oriented surface; "auto" is True for those that face
             outwards, around a volume > 0. Inside are all points about which the surface winds, of several overlapping
             shells too; a cavity, whose surface faces the other way, is outside. Default False: only the surface counts.
+        thickness: length >= 0, in the units of `vertices`: the surface is that of all points at most so far from the
+            triangles. A scene adds it to the margin of each body with this mesh.
 
     Attributes:
         origin: (3,) float64: the origin in the coordinates given.
@@ -75,6 +77,7 @@ class Mesh:
         vertices: (V, 3) float64, relative to the origin.
         faces: (F, 3) int32.
         solid: bool: whether the inside belongs to the body.
+        thickness: by how much the triangles are thickened.
         edges: (E, 2) int32: each edge once, smaller vertex first, in lexicographic order. Edge indices of contacts
             refer to it.
         name: of the object in its file, or None.
@@ -88,8 +91,8 @@ class Mesh:
     Raises:
         ValueError: naming the first offending vertex or face, the mesh has no faces or an SBV radius outside of [1e-30,
             1e30]; the origin is not a finite point, too far away, or undefined because the surface bounds no solid; or
-            `solid` is True, and an edge is not shared by two faces in opposite directions.
-        TypeError: `solid` is neither a bool nor "auto".
+            `solid` is True, and an edge is not shared by two faces in opposite directions; `thickness` is no length.
+        TypeError: `solid` is neither a bool nor "auto", or `thickness` no number.
 
     Example:
         >>> corners = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]
@@ -105,11 +108,13 @@ class Mesh:
         origin: Origin = (0.0, 0.0, 0.0),
         *,
         solid: Solid = False,
+        thickness: float = 0.0,
     ) -> None:
         points = _as_array(vertices, np.float64, "vertices")
         triangles = _as_array(faces, np.int64, "faces")
         _check_faces(points, triangles)
         self.solid = is_solid(solid, points, triangles)
+        self.thickness = _checked_thickness(thickness)
         if arguments.is_float32(vertices):
             _warn_of_rounding(points, triangles)
 
@@ -377,6 +382,23 @@ class Mesh:
         other.solid = is_solid(solid, self.vertices.numpy(), self.faces.numpy())
         return other
 
+    def thickened(self, thickness: float) -> Mesh:
+        """This mesh with a thickness, in place of its own; they share all else.
+
+        Args:
+            thickness: as for the constructor.
+
+        Raises:
+            TypeError, ValueError: as for the constructor.
+
+        Example:
+            >>> rock.thickened(0.01).thickness
+            0.01
+        """
+        other = copy.copy(self)
+        other.thickness = _checked_thickness(thickness)
+        return other
+
     def state_dict(self) -> dict[str, Any]:
         """The mesh as a dictionary of tensors, numbers and its name, for `torch.save` and `torch.load` with
         weights_only=True.
@@ -408,6 +430,7 @@ class Mesh:
         places = [checked_point(state[name], name) for name in ("origin", "centre", "centre_offset")]
         mesh = cls.__new__(cls)
         mesh.solid = is_solid(arguments.flag(state["solid"], "solid"), points, triangles)
+        mesh.thickness = _checked_thickness(state["thickness"])
         mesh._prepare(points, triangles, *places)
         for name in ("welded_vertices", "dropped_faces"):
             setattr(mesh, name, arguments.integer(state[name], name, 0, "a number >= 0"))
@@ -418,6 +441,7 @@ class Mesh:
         return mesh
 
     solid: bool = False
+    thickness: float = 0.0
     name: str | None = None
     unit: float | None = None
     welded_vertices: int = 0
@@ -431,7 +455,15 @@ class Mesh:
         gone = {"welded_vertices": self.welded_vertices, "dropped_faces": self.dropped_faces}
         changed = "".join(f", {what}={count}" for what, count in gone.items() if count)
         solid = ", solid" if self.solid else ""
+        solid += f", thickness={self.thickness:g}" if self.thickness else ""
         return f"Mesh({name}{counts}, radius={self.radius:g}{solid}{changed})"
+
+
+def _checked_thickness(thickness: float) -> float:
+    length = arguments.length(thickness, "thickness")
+    if length > LARGEST_RADIUS:
+        raise ValueError(f"thickness: expected a length of at most {LARGEST_RADIUS:g}, got {length:g}")
+    return length
 
 
 def _as_array(values: npt.ArrayLike | Tensor, dtype: type, name: str) -> np.ndarray:

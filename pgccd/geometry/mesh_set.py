@@ -36,6 +36,7 @@ class MeshSet:
         is_centred: whether every mesh has its SBV centre at its origin.
         has_boxes: whether a mesh fills so little of its SBV that the broad phase also tests boxes.
         has_solids: whether a mesh is a solid.
+        thickness: (meshes,) float64; None if no mesh has any.
         tensors: the operators' `mesh_set` argument.
     """
 
@@ -79,8 +80,10 @@ class MeshSet:
             *_solid_columns(meshes, [m.solid for m in meshes]),
         )
         self.tensors = [tensor.contiguous().to(device) for tensor in columns_of_all]
-        self.has_solids = any(mesh.solid for mesh in meshes)
         self.device = self.tensors[0].device
+        self.has_solids = any(mesh.solid for mesh in meshes)
+        thickness = [mesh.thickness for mesh in meshes]
+        self.thickness = torch.tensor(thickness, dtype=torch.float64, device=self.device) if any(thickness) else None
 
     @cached_property
     def _incidence(self) -> tuple[list[Tensor], int]:
@@ -95,9 +98,18 @@ class MeshSet:
         return self._with_solids([False] * len(self))
 
     @cached_property
+    def _bare(self) -> MeshSet:
+        """The same, without their thickness."""
+        other = copy.copy(self._surfaces)
+        other.thickness = None
+        return other
+
+    @cached_property
     def _closed(self) -> MeshSet:
-        """The same meshes, of which all that are closed are solids to the operators."""
-        return self._with_solids([opening(mesh.faces.numpy()) is None for mesh in self.meshes])
+        """The same meshes without their thickness, of which all that are closed are solids to the operators."""
+        other = self._with_solids([opening(mesh.faces.numpy()) is None for mesh in self.meshes])
+        other.thickness = None
+        return other
 
     def _with_solids(self, are_solid: list[bool]) -> MeshSet:
         other = copy.copy(self)

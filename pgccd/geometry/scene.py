@@ -22,6 +22,7 @@ from pgccd.geometry.scene_columns import (
     require_meshes,
     require_worlds,
     self_column,
+    sum_of_margins,
     world_column,
 )
 
@@ -109,6 +110,7 @@ class Scene:
             world do not affect these tests; static bodies are not tested.
         margin: thickness of bodies, a number or (N,), scene length units, from 0 to 1e150: a pair is tested with the
             separation min_separation + margin_i + margin_j, and a body against itself with min_separation + 2 margin_i.
+            It is added to the thickness of the body's mesh.
             Default none. If a body's true path never deviates from the tested one by more than its margin, no contact
             of the true path is missed.
         exclude: (E, 2) integers: pairs of bodies that are never tested, such as links joined by a joint; in any order.
@@ -296,6 +298,13 @@ class Scene:
         if self.device.type == "cpu":
             require_meshes(self.mesh_index, len(self.meshes))
         return self.meshes.radius.index_select(0, self._sound_index if self._is_of_user else self.mesh_index)
+
+    @property
+    def _thickness(self) -> Tensor | None:
+        """(N,) float64: margins and the thickness of meshes; None if no body has either."""
+        if self.meshes.thickness is None:
+            return self.margin
+        return sum_of_margins(self.meshes.thickness.index_select(0, self._sound_index), self.margin)
 
     def _leave_out(self, is_padding: Tensor) -> None:
         """Gives the bodies marked by (N,) bool a negative radius, so that no pair contains them."""

@@ -124,3 +124,14 @@ def self_column(values: Tensor | Sequence[bool] | bool, count: int, device: torc
     if isinstance(values, bool):
         return torch.ones(count, dtype=torch.bool, device=device) if values else None
     return bool_column(values, "self_collision", count, device).to(torch.bool)
+
+
+def sum_of_margins(own: Tensor, of_scene: Tensor | None) -> Tensor:
+    """(N,): margins (N,) and those of the scene, if any; sums are rounded up."""
+    if of_scene is None:
+        return own.contiguous()
+    total = own + of_scene
+    is_exact = (own == 0.0) | (of_scene == 0.0)
+    plain = total.detach()
+    rounded = torch.where(is_exact, plain, torch.nextafter(plain, torch.full_like(plain, torch.inf)))
+    return total + (rounded - plain)  # exact, with the gradient of the sum

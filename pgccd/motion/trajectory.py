@@ -12,6 +12,7 @@ from torch import Tensor
 
 from pgccd import arguments
 from pgccd.arguments import real_rows
+from pgccd.geometry.scene_columns import sum_of_margins
 from pgccd.motion.paths import PATHS, PathKind, RigidMotion, VertexMotion
 from pgccd.motion.rotation import rotated
 from pgccd.motion.validation import MARGIN, Checked, check_of, columns_checked, first_invalid_rows
@@ -377,17 +378,6 @@ class Trajectory:
             return RigidMotion.from_rotation(start, first, end, self.rotation[segments].reshape(-1, 3), self.path)
         turn = (self.orientation[rows].reshape(-1, 4) for rows in (segments, ends))
         return RigidMotion(start, next(turn), end, next(turn), self.path)
-
-
-def sum_of_margins(own: Tensor, of_scene: Tensor | None) -> Tensor:
-    """(N,) the margins (N,) and those of the scene, if any; sums are rounded up."""
-    if of_scene is None:
-        return own.contiguous()
-    total = own + of_scene
-    is_exact = (own == 0.0) | (of_scene == 0.0)
-    plain = total.detach()
-    rounded = torch.where(is_exact, plain, torch.nextafter(plain, torch.full_like(plain, torch.inf)))
-    return total + (rounded - plain)  # exact, with the gradient of the sum
 
 
 def _turned(orientation: Tensor, rotation: Tensor) -> Tensor:

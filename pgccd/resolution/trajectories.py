@@ -12,9 +12,10 @@ from torch import Tensor
 
 from pgccd.contacts.rows import Columns
 from pgccd.geometry.scene import Scene
+from pgccd.geometry.scene_columns import sum_of_margins
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.rotation import rotated
-from pgccd.motion.trajectory import Trajectory, sum_of_margins
+from pgccd.motion.trajectory import Trajectory
 from pgccd.resolution.results import Resolution
 from pgccd.resolution.search import body_of_vertex
 

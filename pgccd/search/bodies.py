@@ -54,13 +54,14 @@ class MovingBodies:
         self.device = scene.device
         self.linear_path = linear_path
         self.deforming = deforming
-        self.tensors = tensors if scene.margin is None else [*tensors, scene.margin]
+        thickness = scene._thickness
+        self.tensors = tensors if thickness is None else [*tensors, thickness]
         # What is invalid, as `_validation` understands it. None: nothing is.
         self._invalid_rows = invalid_rows
         _, self.centre_t0, self.centre_t1, self.reach, *_ = tensors
         self.boxes: Tensor | None = None
-        if scene.margin is not None or scene.meshes.has_boxes or not scene.meshes.is_centred:
-            self._enlarge()
+        if thickness is not None or scene.meshes.has_boxes or not scene.meshes.is_centred:
+            self._enlarge(thickness)
 
     @classmethod
     def of(cls, scene: Scene, motion: RigidMotion | VertexMotion, *, wait: bool = True) -> MovingBodies:
@@ -161,8 +162,8 @@ class MovingBodies:
             grown.boxes[:, 1] = ((growth + stray / unit) * (1.0 + 2.0**-22)).float()  # rounded up
         return grown
 
-    def _enlarge(self) -> None:
-        """Finds spheres of meshes off centre and of margins, and boxes."""
+    def _enlarge(self, thickness: Tensor | None) -> None:
+        """Finds spheres of meshes off centre and of thick bodies, and boxes."""
         scene, meshes, tensors = self.scene, self.scene.meshes, self.tensors
         is_checked = self._motion is None
         if not is_checked and (meshes.has_boxes or not meshes.is_centred):
@@ -170,8 +171,8 @@ class MovingBodies:
         if not self.deforming and not meshes.is_centred:
             spheres = ops.moving_spheres(meshes.tensors, tensors, self.linear_path)
             self.centre_t0, self.centre_t1, self.reach = spheres
-        if scene.margin is not None:
-            self.reach = (self.reach + scene.margin) * (1.0 + 2.0**-50)
+        if thickness is not None:
+            self.reach = (self.reach + thickness) * (1.0 + 2.0**-50)
         if not is_checked and self.reach is not self.radius:
             # An invalid value may have made it NaN.
             self.reach = torch.where(self.radius < 0.0, self.radius, self.reach)

@@ -95,7 +95,7 @@ def _enclosed_rows(scene: Scene, still: RigidMotion | VertexMotion, pairs: Tenso
     closed = scene.meshes._closed
     if not closed.has_solids:
         return pairs[:0]
-    meeting = _contacts(scene, scene.meshes._surfaces, still, pairs, "any").pairs
+    meeting = _contacts(scene, scene.meshes._bare, still, pairs, "any").pairs
     keys, of_meeting = (each[:, 0] * scene.body_count + each[:, 1] for each in (pairs, meeting))
     pairs = pairs[~torch.isin(keys, of_meeting)]
     # As surfaces do not meet, these are the pieces of bodies that are inside.

@@ -194,9 +194,7 @@ def animation_of(
     if fraction is not None:
         each: list[Any] = _of_steps(fraction, len(steps), "fraction") if is_list else [fraction]
         fractions = np.stack([_array(fractions_of(part, count, scene.device)) for part in each])
-    static, margin = (
-        None if (column := getattr(scene, name)) is None else _array(column) for name in ("static", "margin")
-    )
+    static, margin = (None if column is None else _array(column) for column in (scene.static, scene._thickness))
     animation = Animation(
         shapes=[(mesh.vertices.numpy(), mesh.faces.numpy()) for mesh in scene.meshes.meshes],
         shape_index=_array(scene.mesh_index).astype(np.int64),

@@ -34,16 +34,22 @@ MUTANTS = [
         "norm_squared(cross(ray.direction, offset)) <= reach * reach",
         "norm_squared(cross(ray.direction, offset)) <= 0.9 * reach * reach",
     ),
-    _winding(
-        "above-is-at",
+    Mutant(
+        "winding-above-is-at",
+        WINDING,
         "points().point[corner].z > points().point[0].z",
         "points().point[corner].z >= points().point[0].z",
+        ON_SOLIDS,
+        equivalent="the ray then starts at z - e^2, which meets no vertex and no edge either",
     ),
     _winding("heights-in-double", "magnitude(height) > 4.0 * error_", "true"),
-    _winding(
-        "on-the-edge",
+    Mutant(
+        "winding-on-the-edge",
+        WINDING,
         "side_of(2 + k, 2 + next) == upwards",
         "static_cast<int>(side_of(2 + k, 2 + next)) != -static_cast<int>(upwards)",
+        ON_SOLIDS,
+        equivalent="the ray then starts at y - e, which meets no vertex and no edge either",
     ),
     _winding("one-edge", "turn += static_cast<int>(upwards)", "turn = static_cast<int>(upwards)"),
     _winding(
@@ -76,7 +82,7 @@ MUTANTS = [
         "pairs",
         ON_ENCLOSED,
     ),
-    _python("enclosed-of-solids", "search/enclosed.py", "scene.meshes._surfaces", "scene.meshes", ON_SOLIDS),
+    _python("enclosed-of-solids", "search/enclosed.py", "scene.meshes._bare", "scene.meshes", ON_SOLIDS),
     _python("enclosed-in-part", "search/enclosed.py", "rows[pieces ==", "rows[pieces <=", ON_ENCLOSED),
     _python(
         "enclosed-the-other-way",
