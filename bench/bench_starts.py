@@ -1,9 +1,10 @@
-"""Cost of the test of surfaces that intersect at t = 0: `initial="report"`, the default, against "assume_free".
+"""Cost of the tests of starts: `initial="report"`, the default, against "assume_free", and with solids against without.
 
     python bench/bench_starts.py [--device cuda] [--rounds N]
 
-Scenes: the standard world, in which nothing intersects; a stack of boxes that exactly touch; random spheres, of which
-many intersect; and a crumpled cloth tested against itself, which intersects itself. Calls of both kinds alternate.
+Scenes: the standard world, in which nothing intersects; 10,000 boxes, few of which collide; a stack of boxes that
+exactly touch; random spheres, of which many intersect; and a crumpled cloth tested against itself, which intersects
+itself. Calls of all kinds alternate. As solids all meshes are that are closed.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ def main() -> None:
     rows = []
     for name, step in steps(arguments.device).items():
         for report, call in _CALLS.items():
-            rows.append({"scene": name, "report": report, **measure(partial(call, *step), arguments.rounds)})
+            rows.append({"scene": name, "report": report, **measure(call, *step, arguments.rounds)})
     results.table(rows)
     results.write("starts", arguments.device, {"rows": rows}, arguments.out)
 
@@ -65,6 +66,7 @@ def steps(device: str) -> dict[str, Step]:
     spheres = trimesh.creation.icosphere(subdivisions=3)
     return {
         f"{_ROBOTS} robots": (world.scene, world.model.motion(next(iter(world)))),
+        "10000 boxes": rigid(trimesh.creation.box(), 60.0 * uniform(10_000, 3), 0.5 * uniform(10_000, 3)),
         "stack of 512 touching boxes": rigid(trimesh.creation.box().subdivide(), lattice, -0.01 * uniform(512, 3)),
         "1000 intersecting spheres": rigid(spheres, 12.0 * uniform(1000, 3), 0.1 * uniform(1000, 3)),
         "cloth that intersects itself": cloth(device),
@@ -85,23 +87,34 @@ def cloth(device: str, side: int = 60) -> Step:
     return scene, pgccd.VertexMotion(torch.from_numpy(start), torch.from_numpy(end)).to(device)
 
 
-def measure(call: partial[pgccd.Contacts | pgccd.CollidingPairs], rounds: int) -> dict[str, Any]:
-    """Medians, and the median of the ratios of successive calls."""
-
-    def spent(initial: Any) -> tuple[float, pgccd.Contacts | pgccd.CollidingPairs]:
-        return timing.seconds(lambda: call(initial=initial), call.args[0].device)
-
-    for initial in ("report", "assume_free"):
-        spent(initial)
-    pairs = [(spent("report"), spent("assume_free")) for _ in range(rounds)]
-    tested, assumed = ([each[k][0] for each in pairs] for k in (0, 1))
-    return {
-        "ms": timing.summary(tested)["median"],
-        "assume_free, ms": timing.summary(assumed)["median"],
-        "ratio": timing.rounded(float(np.median(np.divide(tested, assumed)))),
-        "contacts": len(pairs[0][0][1]),
-        "assume_free, contacts": len(pairs[0][1][1]),
+def measure(
+    call: Callable[..., pgccd.Contacts | pgccd.CollidingPairs],
+    scene: pgccd.Scene,
+    motion: pgccd.RigidMotion | pgccd.VertexMotion,
+    rounds: int,
+) -> dict[str, Any]:
+    """Medians, and the medians of the ratios of successive calls."""
+    solid = pgccd.Scene(
+        [mesh.as_solid("auto") for mesh in scene.meshes.meshes],
+        scene.mesh_index,
+        self_collision=False if scene.self_collision is None else scene.self_collision,
+    )
+    kinds = {
+        "plain": partial(call, scene, motion),
+        "assume_free": partial(call, scene, motion, initial="assume_free"),
+        "solids": partial(call, solid, motion),
     }
+    for each in kinds.values():
+        each()
+    made = [{name: timing.seconds(each, scene.device) for name, each in kinds.items()} for _ in range(rounds)]
+    seconds = {name: [one[name][0] for one in made] for name in kinds}
+    figures: dict[str, Any] = {"ms": timing.summary(seconds["plain"])["median"], "contacts": len(made[0]["plain"][1])}
+    for name in ("assume_free", "solids"):
+        figures[f"{name}, ms"] = timing.summary(seconds[name])["median"]
+        figures[f"{name}, contacts"] = len(made[0][name][1])
+    figures["ratio"] = timing.rounded(float(np.median(np.divide(seconds["plain"], seconds["assume_free"]))))
+    figures["solids, ratio"] = timing.rounded(float(np.median(np.divide(seconds["solids"], seconds["plain"]))))
+    return figures
 
 
 if __name__ == "__main__":
