@@ -418,12 +418,13 @@ def _write_page(
     scene: pgccd.Scene,
     motion: Motions,
     hits: AnyHits = None,
+    names: list[str] | None = None,
 ) -> Path:
     """Writes the page that the options ask for; returns its path."""
     try:
         if options.page is not None and not is_page(options.page):
-            return pgccd.show(scene, motion, hits, path=options.page)
-        page = Page.of(scene, motion, hits)
+            return pgccd.show(scene, motion, hits, path=options.page, names=names)
+        page = Page.of(scene, motion, hits, names=names)
         if not options.quiet:
             for sentence in page.left_out:
                 print(sentence, file=sys.stderr)
@@ -459,7 +460,7 @@ def _detect(options: argparse.Namespace) -> int:
         else:
             hits = pgccd.detect(scene, motion, options.report, options.min_separation, **given)
     rows = _contact_rows(hits, names)
-    page = {} if options.page is None else {"page": str(_write_page(options, scene, motion, hits))}
+    page = {} if options.page is None else {"page": str(_write_page(options, scene, motion, hits, names))}
     if options.json:
         print(json.dumps({"contacts": rows, "stats": asdict(hits.stats)} | page))
         return 0
@@ -480,7 +481,7 @@ def _audit(options: argparse.Namespace) -> int:
         found = pgccd.audit(scene, rollout, options.min_separation, tolerance=options.tolerance)
     page: dict[str, Any] = {}
     if options.page is not None and len(found.passages):
-        page["page"] = str(_write_page(options, scene, *found.steps()))
+        page["page"] = str(_write_page(options, scene, *found.steps(), names))
     elif options.page is not None:
         print(f"no passages, so {options.page} is not written", file=sys.stderr)
     rows = _contact_rows(found.passages, names)

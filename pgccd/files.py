@@ -231,7 +231,7 @@ def save_scene(
         state["static"] = scene.static.bool()
     content |= {name: state[name].tolist() for name in _OPTIONAL if state[name] is not None}
     if names is not None:
-        content["names"] = _checked_names(names, scene.body_count)
+        content["names"] = arguments.body_names(names, scene.body_count)
     try:
         folder = tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent)
     except OSError as error:
@@ -317,20 +317,6 @@ def _windows(scene: Scene, frames: Iterable[Frame]) -> Iterator[Trajectory]:
         if not str(error).startswith("trajectory: "):  # of the program that makes the frames
             raise
         raise type(error)(f"motion: {str(error).removeprefix('trajectory: ')}") from error
-
-
-def _checked_names(names: Any, count: int) -> list[str]:
-    """Names of so many bodies."""
-    if isinstance(names, str) or not isinstance(names, Sequence) or not all(isinstance(name, str) for name in names):
-        raise TypeError(f"names: expected a list of strings, one per body, got {arguments.describe(names)}")
-    if len(names) != count:
-        raise ValueError(f"names: expected {count} strings, one per body, got {len(names)}")
-    for body, name in enumerate(names):
-        try:
-            name.encode()
-        except UnicodeEncodeError as error:
-            raise ValueError(f"names: body {body}: expected text, got {name!r}: {error.reason}") from error
-    return list(names)
 
 
 def iterate_frames(
@@ -446,7 +432,7 @@ def _names_of(path: Path, content: Mapping[str, Any]) -> list[str] | None:
         return None
     bodies = content["mesh_index"]
     try:
-        return _checked_names(content["names"], len(bodies) if isinstance(bodies, list) else 0)
+        return arguments.body_names(content["names"], len(bodies) if isinstance(bodies, list) else 0)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{path}: {error}") from error
 

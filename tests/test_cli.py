@@ -403,6 +403,10 @@ def test_names_of_saved_scenes_are_printed(tmp_path: Path, capsys: pytest.Captur
     assert capsys.readouterr().out.startswith(f"pair=0,1{row}")
     assert main(["detect", "--scene", path, "--json", "--report", "any"]) == 0
     assert json.loads(capsys.readouterr().out)["contacts"] == [{"pair": [0, 1], "names": pair}]
+    page = tmp_path / "page.html"
+    assert main(["audit", "--scene", path, "--page", str(page), "--quiet"]) == 0
+    assert capsys.readouterr().out.count("\n") == 1
+    assert '"names":{"0":"table, left","1":"cup \\"blue\\""}' in page.read_text()
     files.save_scene(path, *files.load_scene(path))
     assert main(["audit", "--scene", path, "--json"]) == 0
     without = json.loads(capsys.readouterr().out)

@@ -284,7 +284,7 @@ MUTANTS = [
     _mutant("saved-name-cut", SCENES, "arrays[name].item() != value", "False", ON_SCENES),
     _mutant("saved-world-negative", SCENES, "    _ = scene.world_count  # which checks them\n", "", ON_SCENES),
     _mutant("saved-margins-of-others", SCENES, "        motion._margins(None, scene.body_count)\n", "", ON_SCENES),
-    _mutant("saved-names-of-others", SCENES, "if len(names) != count:", "if False:", ON_SCENES),
+    _mutant("names-of-others", "pgccd/arguments.py", "if len(names) != count:", "if False:", ON_SCENES),
     _mutant("mesh-number-missing", SCENES, "if number not in states:", "if False:", ON_SCENES),
     _mutant("frames-rounded", SCENES, ' - {"rounding"}', "", ON_SCENES),
 ]
