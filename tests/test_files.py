@@ -279,6 +279,19 @@ def test_frames_are_written_one_after_the_other(
     assert count < 101 or len(expected.passages) > 0
 
 
+def test_trajectories_without_turns_are_frames_too(tmp_path: Path) -> None:
+    """Also those of float32, whose rounding is stored."""
+    x, q = (torch.tensor(column) for column in (X, Q))
+    for position, orientation in ((x, q), (x.float(), q.float()), (x.float(), None)):
+        scene = pgccd.Scene([pgccd.Mesh.box([1.0, 1.0, 1.0])], [0, 0])
+        if orientation is None:
+            scene, position = pgccd.Scene([pgccd.Mesh(X[:, 0], [[0, 1, 2]])]), position[:, :1].expand(3, 3, 3)
+        files.save_scene(tmp_path / "run.json", scene, pgccd.Trajectory(position, orientation))
+        frames = list(files.iterate_frames(tmp_path / "run.poses.npz"))
+        given = [frame[0] if isinstance(frame, tuple) else frame for frame in frames]
+        assert torch.equal(torch.stack(given), position.double())
+
+
 def test_memory_is_that_of_a_window(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(windows, "_ROWS", 10)
     scene, (frame, *_) = frames_of("arrays", 2)
