@@ -117,6 +117,20 @@ def path(value: Any, name: str) -> Path:
     return Path(value)
 
 
+def body_names(names: Any, count: int) -> list[str]:
+    """The values as names of so many bodies."""
+    if isinstance(names, str) or not isinstance(names, Sequence) or not all(isinstance(name, str) for name in names):
+        raise TypeError(f"names: expected a list of strings, one per body, got {describe(names)}")
+    if len(names) != count:
+        raise ValueError(f"names: expected {count} strings, one per body, got {len(names)}")
+    for body, name in enumerate(names):
+        try:
+            name.encode()
+        except UnicodeEncodeError as error:
+            raise ValueError(f"names: body {body}: expected text, got {name!r}: {error.reason}") from error
+    return list(names)
+
+
 def rows(value: Any, name: str, count: int) -> Any:
     """An index of some of `count` rows: a mask, row numbers or a slice, but not a single number.
 

@@ -59,10 +59,11 @@ pgccd COMMAND --help lists the options of a command."""
 _FILE_NOTES = """\
 poses.npz holds, for N bodies, one of these:
   position_t0 (N, 3), orientation_t0 (N, 4), position_t1 (N, 3), orientation_t1 (N, 4);
+  position_t0, orientation_t0, position_t1, rotation (N, 3), vectors;
   position_t0, orientation_t0, linear_velocity (N, 3), angular_velocity (N, 3) in radians, and dt, a number;
   a trajectory of T waypoints: position (T, N, 3), orientation (T, N, 4); optionally rotation (T - 1, N, 3), vectors;
   deforming bodies: x_t0, x_t1 (X, 3), the vertices of all bodies, or position (T, X, 3) alone;
-  of any trajectory, optionally margin (T - 1, N).
+  of any trajectory, optionally margin (T - 1, N); of rigid bodies, path, "rigid" or "linear".
 Of a robot, the first MESH if it ends in .urdf or .xml (MJCF), it holds q (T, J): configurations, between which joints
 move at constant rates; other MESH files are obstacles. Contacts may be due to the margins that this takes (see
 pgccd.robots.certify).
@@ -70,9 +71,10 @@ A pose puts a point v of a mesh file at position + R (v - origin), and the body 
 file's coordinates, unless a scene file says otherwise. Orientations are unit quaternions (w, x, y, z), body to world.
 
 scene.json: {"meshes": ["robot.ply", "rock.obj"], "mesh_index": [0, 0, 1], "poses": "poses.npz"}; paths are relative to
-it; optional: "group", "mask", "world", "static", "margin", lists with one value per body; "exclude", pairs of bodies
-that are never tested; "origin", one value per mesh: [x, y, z] in the file's coordinates, "centroid" (the SBV centre)
-or "center_of_mass"."""
+it; optional: "group", "mask", "world", "static", "self_collision", "margin", "names", lists with one value per body;
+"exclude", pairs of bodies that are never tested; "origin", one value per mesh: [x, y, z] in the file's coordinates,
+"centroid" (the SBV centre) or "center_of_mass"; "solid", one value per mesh: true, false or "auto". In Python,
+pgccd.files.save_scene and the simulators of pgccd.simulators write such files, with their meshes in an npz file."""
 
 
 class ArgumentError(Exception):
@@ -352,9 +354,9 @@ def _device(name: str) -> torch.device:
 
 def _inputs(
     options: argparse.Namespace, device: torch.device, needs_motion: bool, by_frames: bool = False
-) -> tuple[pgccd.Scene, Any, str]:
-    """The scene and motion that the options name, and the option of the motion. With `by_frames` the motion is an
-    iterator over frames where the file allows it.
+) -> tuple[pgccd.Scene, Any, str, list[str] | None]:
+    """The scene and motion that the options name, the option of the motion, and the names of the bodies, if files have
+    them. With `by_frames` the motion is an iterator over frames where the file allows it.
     """
     read = _load_frames if by_frames else load_motion
     if options.page is not None:
@@ -371,18 +373,19 @@ def _inputs(
     source = "--motion" if options.scene is None else "--scene"
     try:
         if options.meshes and Path(options.meshes[0]).suffix in _ROBOTS:
-            return *_robot(options, device), source
+            scene, motion, names = _robot(options, device)
+            return scene, motion, source, names
         if options.scene is not None:
-            scene, poses = bodies_and_poses(options.scene, device)
-            return scene, read(poses, device), source
+            scene, poses, of_bodies = bodies_and_poses(options.scene, device)
+            return scene, read(poses, device), source, of_bodies
         scene = pgccd.Scene(_load_meshes(options.meshes, "MESH") or [], device=device)
         if options.motion is not None:
-            return scene, read(options.motion, device), source
+            return scene, read(options.motion, device), source, None
     except (ImportError, ValueError) as error:
         raise ArgumentError(source, error) from error
     position = torch.zeros((scene.body_count, 3), dtype=torch.float64)
     orientation = torch.tensor([[1.0, 0.0, 0.0, 0.0]], dtype=torch.float64).repeat(scene.body_count, 1)
-    return scene, pgccd.RigidMotion.at_rest(position, orientation), source
+    return scene, pgccd.RigidMotion.at_rest(position, orientation), source, None
 
 
 def _load_frames(path: str | Path, device: torch.device) -> Any:
@@ -390,8 +393,10 @@ def _load_frames(path: str | Path, device: torch.device) -> Any:
     return load_motion(path, device) if frame_columns(path) is None else iterate_frames(path, device)
 
 
-def _robot(options: argparse.Namespace, device: torch.device) -> tuple[pgccd.Scene, AnyMotion]:
-    """A robot and its obstacles, on its path through configurations; without --motion where all joints are 0."""
+def _robot(options: argparse.Namespace, device: torch.device) -> tuple[pgccd.Scene, AnyMotion, list[str]]:
+    """A robot and its obstacles, on its path through configurations; without --motion where all joints are 0. Links of
+    the robot and files of the obstacles name the bodies.
+    """
     file, *others = options.meshes
     try:
         robot = _ROBOTS[Path(file).suffix](file)
@@ -404,7 +409,8 @@ def _robot(options: argparse.Namespace, device: torch.device) -> tuple[pgccd.Sce
     q = torch.zeros((2, robot.joint_count), dtype=torch.float64)
     if options.motion is not None:
         q = load_configurations(options.motion)
-    return robot.scene(obstacles).to(device), robot.trajectory(q.to(device), obstacles)
+    names = [robot.link_names[link] for link in robot.body_link.tolist()] + [Path(other).name for other in others]
+    return robot.scene(obstacles).to(device), robot.trajectory(q.to(device), obstacles), names
 
 
 def _write_page(
@@ -412,12 +418,13 @@ def _write_page(
     scene: pgccd.Scene,
     motion: Motions,
     hits: AnyHits = None,
+    names: list[str] | None = None,
 ) -> Path:
     """Writes the page that the options ask for; returns its path."""
     try:
         if options.page is not None and not is_page(options.page):
-            return pgccd.show(scene, motion, hits, path=options.page)
-        page = Page.of(scene, motion, hits)
+            return pgccd.show(scene, motion, hits, path=options.page, names=names)
+        page = Page.of(scene, motion, hits, names=names)
         if not options.quiet:
             for sentence in page.left_out:
                 print(sentence, file=sys.stderr)
@@ -433,7 +440,7 @@ def _write_page(
 
 
 def _view(options: argparse.Namespace) -> int:
-    scene, motion, _ = _inputs(options, torch.device("cpu"), needs_motion=False)
+    scene, motion, *_ = _inputs(options, torch.device("cpu"), needs_motion=False)
     path = _write_page(options, scene, motion)
     if options.json:
         print(json.dumps({"page": str(path), "bodies": scene.body_count}))
@@ -444,7 +451,7 @@ def _view(options: argparse.Namespace) -> int:
 
 def _detect(options: argparse.Namespace) -> int:
     device = _device(options.device)
-    scene, motion, source = _inputs(options, device, needs_motion=True)
+    scene, motion, source, names = _inputs(options, device, needs_motion=True)
     with _naming_options(source, device):
         given: CollideOptions = {"tolerance": options.tolerance, "broad_phase": options.broad_phase}
         hits: pgccd.Contacts | pgccd.CollidingPairs
@@ -452,8 +459,8 @@ def _detect(options: argparse.Namespace) -> int:
             hits = pgccd.collide(scene, motion, options.min_separation, **given)
         else:
             hits = pgccd.detect(scene, motion, options.report, options.min_separation, **given)
-    rows = _contact_rows(hits)
-    page = {} if options.page is None else {"page": str(_write_page(options, scene, motion, hits))}
+    rows = _contact_rows(hits, names)
+    page = {} if options.page is None else {"page": str(_write_page(options, scene, motion, hits, names))}
     if options.json:
         print(json.dumps({"contacts": rows, "stats": asdict(hits.stats)} | page))
         return 0
@@ -467,20 +474,21 @@ def _detect(options: argparse.Namespace) -> int:
 
 def _audit(options: argparse.Namespace) -> int:
     device = _device(options.device)
-    scene, rollout, source = _inputs(options, device, needs_motion=True, by_frames=True)
+    scene, rollout, source, names = _inputs(options, device, needs_motion=True, by_frames=True)
     if isinstance(rollout, (pgccd.RigidMotion, pgccd.VertexMotion)):
         raise ArgumentError(source, "expected a trajectory: position (T, N, 3), orientation (T, N, 4)")
     with _naming_options(source, device):
         found = pgccd.audit(scene, rollout, options.min_separation, tolerance=options.tolerance)
     page: dict[str, Any] = {}
     if options.page is not None and len(found.passages):
-        page["page"] = str(_write_page(options, scene, *found.steps()))
+        page["page"] = str(_write_page(options, scene, *found.steps(), names))
     elif options.page is not None:
         print(f"no passages, so {options.page} is not written", file=sys.stderr)
-    rows = _contact_rows(found.passages)
+    rows = _contact_rows(found.passages, names)
     if options.json:
         touching = {name: getattr(found.touching, name).tolist() for name in ("pairs", "first", "last")}
-        listed = {"passages": rows, "touching": touching, "enclosed": _contact_rows(found.enclosed)}
+        touching |= _names_of(touching["pairs"], names)
+        listed = {"passages": rows, "touching": touching, "enclosed": _contact_rows(found.enclosed, names)}
         print(json.dumps({"frames": found.frames} | listed | page))
         return 0
     for row in [] if options.quiet else rows:
@@ -508,12 +516,18 @@ def _naming_options(source: str, device: torch.device) -> Iterator[None]:
         raise ArgumentError(source, f"too much for the memory of {device}: {error}") from error
 
 
-def _contact_rows(hits: pgccd.Contacts | pgccd.CollidingPairs) -> list[dict[str, Any]]:
-    columns: dict[str, list[Any]] = {"pair": hits.pairs.tolist()}
+def _names_of(pairs: list[list[int]], names: Sequence[str] | None) -> dict[str, list[Any]]:
+    """The names of pairs of bodies as a column, if they have names."""
+    return {} if names is None else {"names": [[names[body] for body in pair] for pair in pairs]}
+
+
+def _contact_rows(hits: pgccd.Contacts | pgccd.CollidingPairs, names: Sequence[str] | None) -> list[dict[str, Any]]:
+    pairs = hits.pairs.tolist()
+    columns: dict[str, list[Any]] = {"pair": pairs} | _names_of(pairs, names)
     if isinstance(hits, pgccd.Contacts):
-        names = ["segment", "toi", "time"] if isinstance(hits, pgccd.TrajectoryContacts) else ["toi"]
-        names += ["approach", "measure"] if isinstance(hits, pgccd.Passages) else []
-        columns |= {name: getattr(hits, name).tolist() for name in (*names, "kind", "features", "point", "normal")}
+        kept = ["segment", "toi", "time"] if isinstance(hits, pgccd.TrajectoryContacts) else ["toi"]
+        kept += ["approach", "measure"] if isinstance(hits, pgccd.Passages) else []
+        columns |= {name: getattr(hits, name).tolist() for name in (*kept, "kind", "features", "point", "normal")}
         # Of bodies inside of solids, which have none.
         columns["normal"] = [None if math.isnan(x) else [x, y, z] for x, y, z in columns["normal"]]
         columns["kind"] = [pgccd.Kind.names()[kind] for kind in columns["kind"]]
@@ -523,7 +537,9 @@ def _contact_rows(hits: pgccd.Contacts | pgccd.CollidingPairs) -> list[dict[str,
 
 def _plain(value: Any) -> str:
     if isinstance(value, list):
-        return ",".join(_plain(item) for item in value)
+        # Names of bodies may contain commas and spaces.
+        items = (json.dumps(item, ensure_ascii=False) if isinstance(item, str) else item for item in value)
+        return ",".join(_plain(item) for item in items)
     return f"{value:.9g}" if isinstance(value, float) else str(value)
 
 

@@ -1,11 +1,13 @@
-"""Scenes and motions from files, as read by the command line."""
+"""Scenes and motions from files and to files, as read by the command line."""
 
 import difflib
 import itertools
 import json
+import os
+import tempfile
 import zipfile
 import zlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from os import PathLike
 from pathlib import Path
@@ -17,20 +19,28 @@ import torch
 from pgccd import arguments
 from pgccd.geometry.mesh import Mesh
 from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
-from pgccd.motion.paths import RigidMotion, VertexMotion
+from pgccd.motion.of_scene import check_scene, check_step, check_trajectory
+from pgccd.motion.paths import PATHS, PathKind, RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
+from pgccd.motion.windows import Frame, windows
 
-__all__ = ["iterate_frames", "load_configurations", "load_motion", "load_scene"]
+__all__ = ["iterate_frames", "load_configurations", "load_motion", "load_names", "load_scene", "save_scene"]
 
 _START = ("position_t0", "orientation_t0")
 _END = ("position_t1", "orientation_t1")
 _VELOCITY = ("linear_velocity", "angular_velocity", "dt")
 _VERTICES = ("x_t0", "x_t1")
-_WAYPOINTS = ("position", "orientation", "rotation", "margin")
+_WAYPOINTS = ("position", "orientation", "rotation", "margin", "path", "rounding")
+# What a file need not say of a motion.
+_DEFAULTS = {"path": "rigid", "rounding": np.finfo(np.float64).eps}
 # The keys of each kind of motion: required ones, then others.
-_KINDS = ((_VERTICES, ()), (_WAYPOINTS[:1], _WAYPOINTS[1:]), (_START, (*_END, *_VELOCITY)))
+_KINDS = ((_VERTICES, ()), (_WAYPOINTS[:1], _WAYPOINTS[1:]), (_START, (*_END, *_VELOCITY, "rotation", "path")))
 _SCENE = ("meshes", "mesh_index", "poses")
-_OPTIONAL = (*OPTIONAL_COLUMNS, "exclude")
+_OPTIONAL = (*OPTIONAL_COLUMNS, "self_collision", "exclude")
+# Of mesh files, one value a mesh.
+_OF_MESHES: dict[str, Any] = {"origin": (0.0, 0.0, 0.0), "solid": False}
+# Entries of a mesh's state that may be None, and are then not in a file.
+_MAYBE = ("name", "unit", "source_vertex", "source_face")
 
 
 def load_motion(
@@ -40,12 +50,15 @@ def load_motion(
 
     The file holds one of these:
 
-    * position_t0 (N, 3) and orientation_t0 (N, 4), and either position_t1 and orientation_t1, or linear_velocity
-      (N, 3), angular_velocity (N, 3) in radians, and dt: a `RigidMotion`. Positions are those of the meshes' origins,
-      orientations unit quaternions (w, x, y, z), body to world.
+    * position_t0 (N, 3) and orientation_t0 (N, 4), and either position_t1 and orientation_t1, or position_t1 and
+      rotation (N, 3), or linear_velocity (N, 3), angular_velocity (N, 3) in radians, and dt: a `RigidMotion`. Positions
+      are those of the meshes' origins, orientations unit quaternions (w, x, y, z), body to world.
     * position (T, N, 3) and orientation (T, N, 4): a `Trajectory` of rigid bodies; optionally rotation (T - 1, N, 3).
     * x_t0 and x_t1 (X, 3), vertices of all bodies: a `VertexMotion`; or position (T, X, 3) alone: a `Trajectory` of
-      deforming bodies. With either, optionally margin (T - 1, N).
+      deforming bodies.
+
+    A trajectory may have margin (T - 1, N), and rounding, that of its `state_dict`. Motions of rigid bodies and
+    trajectories may have path, "rigid" or "linear".
 
     Args:
         path: of the file.
@@ -69,19 +82,24 @@ def load_motion(
     for name in required:
         if name not in arrays:
             raise ValueError(f"{path} has no {name!r}")
+    kind = _path_kind(path, arrays.pop("path", None))
     columns = {name: _as_column(path, name, values).to(device) for name, values in arrays.items()}
     try:
         if required == _VERTICES:
             return VertexMotion(columns["x_t0"], columns["x_t1"])
+        if "rounding" in columns:
+            return Trajectory.from_state_dict({**dict.fromkeys(_WAYPOINTS), **columns, "path": kind})
         if required == _WAYPOINTS[:1]:
             rotation, margin = columns.get("rotation"), columns.get("margin")
-            return Trajectory(columns["position"], columns.get("orientation"), rotation=rotation, margin=margin)
+            return Trajectory(columns["position"], columns.get("orientation"), kind, rotation=rotation, margin=margin)
     except (TypeError, ValueError, RuntimeError) as error:
         raise ValueError(f"{path}: {error}") from error
     by_velocity = any(name in columns for name in _VELOCITY)
-    if by_velocity and (both := [name for name in _END if name in columns]):
+    if by_velocity and (both := [name for name in (*_END, "rotation") if name in columns]):
         raise ValueError(f"{path} has {both[0]!r} beside velocities: expected the one or the other")
-    for name in _VELOCITY if by_velocity else _END:
+    if "rotation" in columns and "orientation_t1" in columns:
+        raise ValueError(f"{path} has 'orientation_t1' beside 'rotation': expected the one or the other")
+    for name in _VELOCITY if by_velocity else (_END[0], "rotation" if "rotation" in columns else _END[1]):
         if name not in columns:
             raise ValueError(f"{path} has no {name!r}")
     position, orientation = (columns[name] for name in _START)
@@ -90,9 +108,10 @@ def load_motion(
             velocity, spin, dt = (columns[name] for name in _VELOCITY)
             if dt.numel() != 1:
                 raise ValueError(f"dt: expected one number, got shape {tuple(dt.shape)}")
-            return RigidMotion.from_velocity(position, orientation, velocity, spin, dt.item())
-        position_t1, orientation_t1 = (columns[name] for name in _END)
-        return RigidMotion(position, orientation, position_t1, orientation_t1)
+            return RigidMotion.from_velocity(position, orientation, velocity, spin, dt.item(), kind)
+        if "rotation" in columns:
+            return RigidMotion.from_rotation(position, orientation, columns["position_t1"], columns["rotation"], kind)
+        return RigidMotion(position, orientation, columns["position_t1"], columns["orientation_t1"], kind)
     except (TypeError, ValueError, RuntimeError) as error:
         raise ValueError(f"{path}: {error}") from error
 
@@ -127,9 +146,10 @@ def load_scene(
     """A scene and its motion from a JSON file.
 
     The file holds {"meshes": [files], "mesh_index": [numbers], "poses": npz file as for `load_motion`}, paths relative
-    to it; and optionally "group", "mask", "world", "static" and "margin", lists with one value per body; "exclude", a
-    list of pairs of bodies that are never tested; and "origin", a list with one value per mesh: a point [x, y, z] or a
-    name, as for `Mesh`.
+    to it; and optionally "group", "mask", "world", "static", "self_collision", "margin" and "names", lists with one
+    value per body; "exclude", a list of pairs of bodies that are never tested; and "origin" and "solid", lists with one
+    value per mesh: a point [x, y, z] or a name; true, false or "auto", as for `Mesh`. In place of a list, "meshes" may
+    be the npz file that `save_scene` writes, which holds origins and solids too.
 
     Args:
         path: of the file.
@@ -141,8 +161,162 @@ def load_scene(
     Example:
         >>> hits = pgccd.detect(*pgccd.files.load_scene("scene.json"))
     """
-    scene, poses = bodies_and_poses(path, device)
+    scene, poses, _ = bodies_and_poses(path, device)
     return scene, load_motion(poses, scene.device)
+
+
+def load_names(path: str | PathLike[str]) -> list[str] | None:
+    """The names of the N bodies of a JSON file as for `load_scene`, (N,) strings; None if it has none.
+
+    Args:
+        path: of the file.
+
+    Raises:
+        ValueError: the file cannot be read, a key is missing or unknown, or there are not as many names as bodies.
+
+    Example:
+        >>> pgccd.files.load_names(pgccd.files.save_scene("two.json", scene, motion, ["cup", "table"]))
+        ['cup', 'table']
+    """
+    path = arguments.path(path, "path")
+    return _names_of(path, _content(path))
+
+
+def save_scene(
+    path: str | PathLike[str],
+    scene: Scene,
+    motion: RigidMotion | VertexMotion | Trajectory | Iterable[Frame],
+    names: Sequence[str] | None = None,
+) -> Path:
+    """Writes a scene and its motion to files that `load_scene`, `pgccd audit`, `pgccd detect` and `pgccd view` read.
+
+    Of scene.json it writes three files: scene.json with the columns of the scene, which may be edited; the meshes,
+    scene.meshes.npz; and the motion, scene.poses.npz, as for `load_motion`. Files of these names are replaced. What is
+    read again is the same, bit by bit, and so are contacts and audits; gradients are not stored. If the call fails or
+    is interrupted, there is no scene.json, or the former one.
+
+    Args:
+        path: of the JSON file.
+        scene: the bodies.
+        motion: their motion; or any iterable of frames, as for `pgccd.audit`: pairs of positions (N, 3) and
+            orientations (N, 4), or vertices (X, 3) of deforming bodies, world frame, scene length units. Frames are
+            written one after the other, so that a rollout may be larger than memory.
+        names: (N,) of the bodies, for people: the command line prints them. Default: none.
+
+    Returns:
+        The path.
+
+    Raises:
+        TypeError, ValueError: naming the argument, and the frame; the path does not end in .json.
+        OSError: a file cannot be written.
+
+    Example:
+        >>> pgccd.files.save_scene("saved.json", scene, [(x0, q0), (x1, q1)], names=["cup", "table"])
+        PosixPath('saved.json')
+        >>> found = pgccd.audit(*pgccd.files.load_scene("saved.json"))
+    """
+    path = arguments.path(path, "path")
+    if path.suffix != ".json":
+        raise ValueError(f"path: expected a name that ends in .json, got {path}")
+    arguments.instance(scene, "scene", Scene)
+    if path.is_dir():
+        raise IsADirectoryError(f"path: {path} is a folder: expected the name of a file")
+    scene = scene._detached()
+    check_scene(scene)
+    _ = scene.world_count  # which checks them
+    state = scene.state_dict()
+    content: dict[str, Any] = {"meshes": f"{path.stem}.meshes.npz", "mesh_index": state["mesh_index"].tolist()}
+    content["poses"] = f"{path.stem}.poses.npz"
+    if scene.static is not None:
+        state["static"] = scene.static.bool()
+    content |= {name: state[name].tolist() for name in _OPTIONAL if state[name] is not None}
+    if names is not None:
+        content["names"] = arguments.body_names(names, scene.body_count)
+    try:
+        folder = tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent)
+    except OSError as error:
+        raise type(error)(f"path: {path} cannot be written: {error.strerror or error}") from error
+    with folder as made:
+        finished = [Path(made, name) for name in (content["meshes"], content["poses"], path.name)]
+        _save_meshes(finished[0], state["meshes"])
+        _save_motion(finished[1], scene, motion)
+        entries = (f"{json.dumps(key)}: {json.dumps(value)}" for key, value in content.items())
+        finished[2].write_text("{" + ",\n ".join(entries) + "}\n")
+        path.unlink(missing_ok=True)  # first: what it names is complete as long as it exists
+        for file in finished:
+            os.replace(file, path.with_name(file.name))
+    return path
+
+
+def _save_meshes(path: Path, states: Sequence[Mapping[str, Any]]) -> None:
+    arrays = {f"{k}.{name}": array for k, state in enumerate(states) for name, array in _stored(state).items()}
+    np.savez(path, **arrays)  # type: ignore[arg-type]
+
+
+def _save_motion(path: Path, scene: Scene, motion: RigidMotion | VertexMotion | Trajectory | Iterable[Frame]) -> None:
+    if isinstance(motion, (RigidMotion, VertexMotion)):
+        motion = motion._detached()
+        check_step(scene, motion)
+    elif isinstance(motion, Trajectory):
+        check_trajectory(scene, motion)
+        motion._margins(None, scene.body_count)
+    else:
+        _save_frames(path, scene, motion)
+        return
+    arrays = _stored(motion.state_dict())
+    said = {name: values for name, values in arrays.items() if values.ndim or values != _DEFAULTS[name]}
+    np.savez(path, **said)  # type: ignore[arg-type]
+
+
+def _stored(state: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    """The entries of a state that are not None."""
+    arrays = {}
+    for name, value in state.items():
+        if value is not None:
+            arrays[name] = value.cpu().numpy() if isinstance(value, torch.Tensor) else np.asarray(value)
+            if isinstance(value, str) and arrays[name].item() != value:
+                raise ValueError(f"scene: {name} of a mesh: expected text that does not end in NUL, got {value!r}")
+    return arrays
+
+
+def _save_frames(path: Path, scene: Scene, frames: Iterable[Frame]) -> None:
+    """Writes an npz file of frames: as arrays beside it, since their number is not known before the last one."""
+    count, shapes = 0, dict[str, tuple[int, ...]]()
+    with ExitStack() as opened:
+        files: dict[str, IO[bytes]] = {}
+        for part in _windows(scene, frames):
+            known = min(count, 1)  # a window begins with the last frame of the one before
+            for name, column in (("position", part.position), ("orientation", part.orientation)):
+                if column is None:
+                    continue
+                if name not in files:
+                    files[name] = opened.enter_context(path.with_name(f"{name}.npy").open("wb"))
+                    shapes[name] = tuple(column.shape[1:])
+                    _write_header(files[name], 0, shapes[name])
+                files[name].write(column[known:].cpu().numpy().tobytes())
+            count += len(part.position) - known
+        for name, file in files.items():
+            file.seek(0)
+            _write_header(file, count, shapes[name])
+    with zipfile.ZipFile(path, "w") as archive:
+        for name in shapes:
+            archive.write(path.with_name(f"{name}.npy"), f"{name}.npy")
+
+
+def _write_header(file: IO[bytes], count: int, shape: tuple[int, ...]) -> None:
+    """Writes the header of an array of so many rows; its size does not depend on their number."""
+    header = {"descr": "<f8", "fortran_order": False, "shape": (count, *shape)}
+    np.lib.format.write_array_header_1_0(file, header)
+
+
+def _windows(scene: Scene, frames: Iterable[Frame]) -> Iterator[Trajectory]:
+    """As `windows`; errors name the argument `motion`."""
+    try:
+        yield from windows(scene, frames, "rigid")
+    except (TypeError, ValueError) as error:
+        if not str(error).startswith("trajectory: "):  # of the program that makes the frames
+            raise
+        raise type(error)(f"motion: {str(error).removeprefix('trajectory: ')}") from error
 
 
 def iterate_frames(
@@ -181,7 +355,7 @@ def frame_columns(path: Path) -> tuple[str, ...] | None:
     """
     try:
         with zipfile.ZipFile(path) as archive:
-            names = {name.removesuffix(".npy") for name in archive.namelist()}
+            names = {name.removesuffix(".npy") for name in archive.namelist()} - {"rounding"}  # that of rotations
     except (OSError, zipfile.BadZipFile) as error:
         raise ValueError(f"{path} cannot be read as an npz file: {error}") from error
     return next((kind for kind in (("position", "orientation"), ("position",)) if names == set(kind)), None)
@@ -221,34 +395,84 @@ def _rows_of(path: Path, name: str, file: IO[bytes]) -> Iterator[np.ndarray]:
         yield np.frombuffer(content, dtype).reshape(shape[1:])
 
 
-def bodies_and_poses(path: str | PathLike[str], device: torch.device | str = "cpu") -> tuple[Scene, Path]:
-    """The scene of a JSON file as for `load_scene`, and the npz file that it names."""
+def bodies_and_poses(
+    path: str | PathLike[str], device: torch.device | str = "cpu"
+) -> tuple[Scene, Path, list[str] | None]:
+    """The scene of a JSON file as for `load_scene`, the npz file that it names, and the names of its bodies, if any."""
     path, device = arguments.path(path, "path"), arguments.device(device)
+    content = _content(path)
+    if not isinstance(content["poses"], str):
+        raise ValueError(f"{path}: poses: expected the name of an npz file, got {content['poses']!r}")
+    names = _names_of(path, content)
+    optional = {key: content[key] for key in _OPTIONAL if key in content}
+    try:
+        scene = Scene(_meshes_of(path, content), content["mesh_index"], device, **optional)
+    except (OSError, TypeError, ValueError) as error:
+        raise ValueError(f"{path}: {error}") from error
+    return scene, path.parent / content["poses"], names
+
+
+def _content(path: Path) -> dict[str, Any]:
+    """The content of a JSON file as for `load_scene`, its keys checked."""
     try:
         content: Any = json.loads(path.read_text())
     except (OSError, ValueError) as error:
         raise ValueError(f"{path} cannot be read as JSON: {error}") from error
     if not isinstance(content, dict):
         raise ValueError(f"{path}: expected an object with {', '.join(_SCENE)}, got {type(content).__name__}")
-    _require_known(path, content, (*_SCENE, *_OPTIONAL, "origin"))
+    _require_known(path, content, (*_SCENE, *_OPTIONAL, *_OF_MESHES, "names"))
     for key in _SCENE:
         if key not in content:
             raise ValueError(f"{path} has no {key!r}")
-    names = content["meshes"]
-    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        raise ValueError(f"{path}: meshes: expected a list of file names, got {names!r}")
-    if not isinstance(content["poses"], str):
-        raise ValueError(f"{path}: poses: expected the name of an npz file, got {content['poses']!r}")
-    optional = {key: content[key] for key in _OPTIONAL if key in content}
-    origins = content.get("origin", [(0.0, 0.0, 0.0)] * len(names))
-    if not isinstance(origins, list) or len(origins) != len(names):
-        raise ValueError(f"{path}: origin: expected a list of {len(names)} values, one a mesh, got {origins!r}")
+    return content
+
+
+def _names_of(path: Path, content: Mapping[str, Any]) -> list[str] | None:
+    if "names" not in content:
+        return None
+    bodies = content["mesh_index"]
     try:
-        meshes = [Mesh.load(path.parent / name, origin, unit="m") for name, origin in zip(names, origins, strict=True)]
-        scene = Scene(meshes, content["mesh_index"], device, **optional)
-    except (OSError, TypeError, ValueError) as error:
+        return arguments.body_names(content["names"], len(bodies) if isinstance(bodies, list) else 0)
+    except (TypeError, ValueError) as error:
         raise ValueError(f"{path}: {error}") from error
-    return scene, path.parent / content["poses"]
+
+
+def _meshes_of(path: Path, content: Mapping[str, Any]) -> list[Mesh]:
+    """The meshes that a JSON file names."""
+    files = content["meshes"]
+    if isinstance(files, str) and files.endswith(".npz"):
+        for key in _OF_MESHES:
+            if key in content:
+                raise ValueError(f"{key}: not expected, since the meshes in {files} have their own")
+        return _load_meshes(path.parent / files)
+    if not isinstance(files, list) or not all(isinstance(name, str) for name in files):
+        raise ValueError(f"meshes: expected a list of file names, or the name of an npz file, got {files!r}")
+    columns = []
+    for key, default in _OF_MESHES.items():
+        values = content.get(key, [default] * len(files))
+        if not isinstance(values, list) or len(values) != len(files):
+            raise ValueError(f"{key}: expected a list of {len(files)} values, one a mesh, got {values!r}")
+        columns.append(values)
+    of_files = zip(files, *columns, strict=True)
+    return [Mesh.load(path.parent / name, origin, unit="m", solid=solid) for name, origin, solid in of_files]
+
+
+def _load_meshes(path: Path) -> list[Mesh]:
+    """The meshes of an npz file of `save_scene`."""
+    states: dict[str, dict[str, Any]] = {}
+    for key, values in _arrays(path).items():
+        number, _, name = key.partition(".")
+        states.setdefault(number, {})[name] = values
+    meshes = []
+    for number in map(str, range(len(states))):
+        if number not in states:
+            raise ValueError(f"{path} has no '{number}.vertices'")
+        try:
+            state = {name: torch.from_numpy(v) if v.ndim else v.item() for name, v in states[number].items()}
+            meshes.append(Mesh.from_state_dict({**dict.fromkeys(_MAYBE), **state}))
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{path}: mesh {number}: {error}") from error
+    return meshes
 
 
 def _arrays(path: str | PathLike[str]) -> dict[str, np.ndarray]:
@@ -266,6 +490,13 @@ def _require_known(path: str | PathLike[str], given: Iterable[str], known: Seque
             likely = difflib.get_close_matches(key, known, n=1)
             hint = f", perhaps for {likely[0]!r}" if likely else ""
             raise ValueError(f"{path} has an unknown key {key!r}{hint}; known are {', '.join(known)}")
+
+
+def _path_kind(path: Path, values: np.ndarray | None) -> PathKind:
+    kind: Any = _DEFAULTS["path"] if values is None else values.tolist()
+    if kind not in PATHS:
+        raise ValueError(f"{path}: path: expected one of {list(PATHS)}, got {kind!r}")
+    return kind
 
 
 def _as_column(path: str | PathLike[str], name: str, values: np.ndarray) -> torch.Tensor:

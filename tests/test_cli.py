@@ -385,6 +385,38 @@ def test_unknown_keys_of_files_are_named(tmp_path: Path, meshes: list[str], pose
         load_motion(position_t0=1j * columns["position_t0"])
 
 
+def test_names_of_saved_scenes_are_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    mesh = pgccd.Mesh.box([1.0, 1.0, 1.0])
+    x, q = torch.zeros(3, 3, 3), torch.tensor([1.0, 0.0, 0.0, 0.0]).expand(3, 3, 4)
+    x[:, 1, 0] = torch.tensor([4.0, -4.0, 0.5])  # through body 0, then into it
+    x[:, 2, 2] = 9.0
+    names = ["table, left", 'cup "blue"', "lamp"]
+    path = str(files.save_scene(tmp_path / "run.json", pgccd.Scene([mesh], [0, 0, 0]), zip(x, q, strict=True), names))
+    pair, row = names[:2], '  names="table, left","cup \\"blue\\""  segment=0  toi=0.375  '
+    assert main(["audit", "--scene", path]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith(f"pair=0,1{row}") and lines[1] == "bodies=3 frames=3 passages=1 touching=1 enclosed=0"
+    assert main(["audit", "--scene", path, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["passages"][0]["names"] == pair and found["touching"]["names"] == [pair]
+    assert main(["detect", "--scene", path]) == 0
+    assert capsys.readouterr().out.startswith(f"pair=0,1{row}")
+    assert main(["detect", "--scene", path, "--json", "--report", "any"]) == 0
+    assert json.loads(capsys.readouterr().out)["contacts"] == [{"pair": [0, 1], "names": pair}]
+    page = tmp_path / "page.html"
+    assert main(["audit", "--scene", path, "--page", str(page), "--quiet"]) == 0
+    assert capsys.readouterr().out.count("\n") == 1
+    assert '"names":{"0":"table, left","1":"cup \\"blue\\""}' in page.read_text()
+    files.save_scene(path, *files.load_scene(path))
+    assert main(["audit", "--scene", path, "--json"]) == 0
+    without = json.loads(capsys.readouterr().out)
+    assert "names" not in without["passages"][0] and list(without["touching"]) == ["pairs", "first", "last"]
+    content = json.loads(Path(path).read_text()) | {"names": ["table"]}
+    Path(path).write_text(json.dumps(content))
+    assert main(["detect", "--scene", path]) == 2
+    assert "argument --scene: " in (error := capsys.readouterr().err) and "names: expected 3 strings" in error
+
+
 def test_robots(tmp_path: Path, capsys: pytest.CaptureFixture[str], meshes: list[str]) -> None:
     pytest.importorskip("yourdfpy")
     box = '<collision><origin xyz="1 0 0"/><geometry><box size="1.6 0.1 0.1"/></geometry></collision>'
@@ -398,7 +430,7 @@ def test_robots(tmp_path: Path, capsys: pytest.CaptureFixture[str], meshes: list
     np.savez(path, q=np.linspace(-0.5, 0.5, 9)[:, None])
     assert main(["detect", str(robot), meshes[0], "--motion", path, "--json", "--page", page]) == 0
     contacts = json.loads(capsys.readouterr().out)["contacts"]
-    assert len(contacts) == 1 and contacts[0]["pair"] == [0, 1] and 0.25 < contacts[0]["time"] < 0.26
+    assert len(contacts) == 1 and contacts[0]["names"] == ["rod", "a.obj"] and 0.25 < contacts[0]["time"] < 0.26
     assert Path(page).stat().st_size > 10_000
     np.savez(path, q=np.zeros((3, 2)))
     assert main(["detect", str(robot), "--motion", path]) == 2

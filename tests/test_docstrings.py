@@ -125,7 +125,7 @@ def namespace(module: str) -> dict[str, Any]:
         pytest.importorskip("mujoco")
         names["robot"] = pgccd.robots.load_urdf("arm.urdf")
         names["obstacles"] = pgccd.robots.Obstacles([names["mesh"]], torch.tensor([[3.0, 3.0, 3.0]]))
-    if module == "pgccd.simulators.mujoco_frames":
+    if module in ("pgccd.simulators.mujoco_frames", "pgccd.simulators.simulator"):
         mujoco = pytest.importorskip("mujoco")
         names["model"] = mujoco.MjModel.from_xml_string(TWO_BALLS)
         names["data"] = mujoco.MjData(names["model"])

@@ -62,6 +62,8 @@ def check_document(name: str, capsys: pytest.CaptureFixture[str], monkeypatch: p
     """Runs a document and checks the steps of its loops."""
     if any("load_urdf(" in block for block in blocks(DOCUMENTS[name])):
         pytest.importorskip("yourdfpy")
+    if any("import mujoco" in block for block in blocks(DOCUMENTS[name])):
+        pytest.importorskip("mujoco")
     monkeypatch.setattr(sys, "argv", [str(DOCUMENTS[name])])
     with steps_recorded() as steps:
         names = run_document(DOCUMENTS[name])

@@ -283,6 +283,10 @@ def calls(folder: Path) -> dict[str, Call]:
             {"path": folder / "poses.npz", "device": "cpu"},
             {"path": ("nonsense cannot be read as an npz file",)},
         ),
+        "files.save_scene": Call(
+            files.save_scene,
+            {"path": folder / "new.json", "scene": two, "motion": motion, "names": ["a", "b"]},
+        ),
         "integrate_orientation": Call(
             pgccd.integrate_orientation, {"orientation": motion.orientation_t0, "rotation": motion.rotation}
         ),

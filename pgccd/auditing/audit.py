@@ -14,7 +14,6 @@ from torch import Tensor
 from pgccd import arguments, ops
 from pgccd.auditing.results import Audit, Passages, Touching
 from pgccd.auditing.runs import Runs
-from pgccd.auditing.windows import Frame, windows
 from pgccd.contacts.by_body import SceneBodies
 from pgccd.contacts.contacts import Contacts
 from pgccd.contacts.operands import operands
@@ -23,6 +22,7 @@ from pgccd.geometry.scene import Scene
 from pgccd.motion.of_scene import repeated
 from pgccd.motion.paths import PATHS, PathKind, RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
+from pgccd.motion.windows import Frame, windows
 from pgccd.search import broad
 from pgccd.search.checks import warn_of_only_body
 from pgccd.search.detect import CollideOptions, collide, detect

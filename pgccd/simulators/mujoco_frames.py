@@ -12,9 +12,10 @@ from torch import Tensor
 from pgccd.robots.kinematics import multiply
 from pgccd.robots.mjcf import surface_of_geom
 from pgccd.simulators.bodies import Bodies
+from pgccd.simulators.simulator import Simulator
 
 
-class MuJoCo:
+class MuJoCo(Simulator):
     """The geoms of a MuJoCo model that may collide, as the bodies of a scene.
 
     Not tested are the pairs that MuJoCo does not test: by contype and conaffinity, of one body, of bodies that are

@@ -12,9 +12,10 @@ from torch import Tensor
 from pgccd.robots import shapes
 from pgccd.robots.shapes import ThickSurface
 from pgccd.simulators.bodies import Bodies
+from pgccd.simulators.simulator import Simulator
 
 
-class Newton:
+class Newton(Simulator):
     """The shapes of a Newton model that may collide, as the bodies of a scene on the device of the model.
 
     Shapes of all worlds are tested against those of their world; for shapes that belong to no world there is a body in

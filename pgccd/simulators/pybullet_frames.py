@@ -13,12 +13,13 @@ from pgccd.geometry.mesh import Mesh
 from pgccd.robots import shapes
 from pgccd.robots.shapes import ThickSurface
 from pgccd.simulators.bodies import Bodies
+from pgccd.simulators.simulator import Simulator
 
 # By which PyBullet thickens hulls. It tells that of a placed hull only if the user has changed it.
 _HULL = 1e-3
 
 
-class PyBullet:
+class PyBullet(Simulator):
     """The collision shapes of a PyBullet world, as the bodies of a scene.
 
     Shapes of one multibody are not tested against each other, as PyBullet does by default; its other filters are not

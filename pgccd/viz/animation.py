@@ -123,12 +123,13 @@ class Animation:
         paths: of the bodies.
         hit: (S, N) bool: whether a body collides in a segment.
         static: (N,) bool.
-        ids: (N,) how bodies are named.
+        ids: (N,) numbers of the bodies.
         marks: contacts on the whole paths.
         world: (N,) int, or None.
         margin: (N,) length units, or None.
         fraction: (S, N) body i moves on x_i(fraction_i t) in each segment; or None.
         first_step: number of the first segment, if segments are steps; None: segments lie between waypoints.
+        names: of bodies, by number; or None.
         box: (2, 3) lower and upper corner of a box that is drawn, or None.
         title: of the page.
         notes: sentences below it.
@@ -145,6 +146,7 @@ class Animation:
     margin: np.ndarray | None = None
     fraction: np.ndarray | None = None
     first_step: int | None = None
+    names: list[str] | None = None
     box: np.ndarray | None = None
     title: str = "pgccd"
     notes: list[str] = field(default_factory=list)
@@ -161,12 +163,17 @@ class Animation:
 
 
 def animation_of(
-    scene: Scene, motion: Motions, hits: AnyHits = None, fraction: AnyFraction = None, world: int | None = None
+    scene: Scene,
+    motion: Motions,
+    hits: AnyHits = None,
+    fraction: AnyFraction = None,
+    world: int | None = None,
+    names: Sequence[str] | None = None,
 ) -> Animation:
     """The animation of a scene and its motion, with the contacts found for them. Synchronises with a GPU.
 
     Args:
-        scene, motion, hits, fraction, world: as for `pgccd.show`.
+        scene, motion, hits, fraction, world, names: as for `pgccd.show`.
 
     Raises:
         TypeError, ValueError: naming the argument.
@@ -207,6 +214,7 @@ def animation_of(
         margin=margin if margin is not None and margin.any() else None,
         fraction=fractions,
         first_step=0 if is_list else None,
+        names=None if names is None else arguments.body_names(names, count),
         notes=list(dict.fromkeys(notes)),
     )
     if world is None or of_worlds is None:

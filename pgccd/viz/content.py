@@ -6,6 +6,7 @@ Lengths are in page units: world coordinates less `centre`, divided by `scale`, 
 from __future__ import annotations
 
 import base64
+import json
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -21,6 +22,7 @@ _MOST_BYTES = 3_550_000
 _MOST_ROWS = 36_000  # of a rigid body in a segment
 _ROW_BYTES, _BODY_BYTES, _CONTACT_BYTES = 52, 21, 79
 _MOST_CONTACTS = 2_000
+_MOST_LETTERS = 80  # of a name
 # Bits of a body's state.
 STATIC, COLLIDING, FAINT = 1, 2, 4
 _MOST_CHOICES = 1_000  # worlds in the list of the page; those of contacts are added to it
@@ -48,7 +50,8 @@ def page_content(animation: Animation) -> tuple[dict[str, Any], list[str]]:
         notes.append(f"The first {_MOST_CONTACTS:,} of {len(order):,} contacts are on this page.")
     marks = marks[order[:_MOST_CONTACTS]]
     animation, marks, waypoints = _thinned(animation, marks, notes)
-    drawn = _drawn(animation, marks, notes)
+    names = _names(animation, marks)
+    drawn = _drawn(animation, marks, len(json.dumps(names)), notes)
     marks = _between_drawn(animation, marks, drawn, notes)
     centre, scale = _frame(animation, drawn)
     data = {
@@ -56,7 +59,7 @@ def page_content(animation: Animation) -> tuple[dict[str, Any], list[str]]:
         "scale": scale,
         "waypoints": waypoints.tolist(),
         "step": animation.first_step,
-        "bodies": _body_columns(animation, marks, drawn, scale),
+        "bodies": _body_columns(animation, marks, drawn, scale) | {"names": names},
         "contacts": _contact_columns(marks, waypoints, centre, scale),
         "box": None if animation.box is None else ((animation.box - centre) / scale).tolist(),
     }
@@ -115,9 +118,20 @@ def _order(animation: Animation) -> np.ndarray:
     return order[np.argsort(~colliding[order], kind="stable")]
 
 
-def _drawn(animation: Animation, marks: Marks, notes: list[str]) -> _Drawn:
+def _names(animation: Animation, marks: Marks) -> dict[int, str]:
+    """Names of the bodies of contacts, by number."""
+    if animation.names is None:
+        return {}
+    ids = np.unique(animation.ids[marks.bodies]).tolist()
+    return {
+        body: name if len(name := animation.names[body]) <= _MOST_LETTERS else f"{name[:_MOST_LETTERS]}…"
+        for body in ids
+    }
+
+
+def _drawn(animation: Animation, marks: Marks, name_bytes: int, notes: list[str]) -> _Drawn:
     paths, order, colliding = animation.paths, _order(animation), animation.colliding
-    budget, segments = _MOST_BYTES - _CONTACT_BYTES * len(marks), animation.segment_count
+    budget, segments = _MOST_BYTES - _CONTACT_BYTES * len(marks) - name_bytes, animation.segment_count
     own = _BODY_BYTES + _step_bytes(animation) * segments
     if isinstance(paths, RigidPaths):
         order = order[: max(1, _MOST_ROWS // segments)]

@@ -7,6 +7,7 @@ import sys
 import tempfile
 import warnings
 import webbrowser
+from collections.abc import Sequence
 from pathlib import Path
 from typing import overload
 
@@ -28,6 +29,7 @@ def show(
     fraction: AnyFraction = None,
     world: int | None = None,
     title: str | None = None,
+    names: Sequence[str] | None = None,
 ) -> Page: ...
 @overload
 def show(
@@ -39,6 +41,7 @@ def show(
     fraction: AnyFraction = None,
     world: int | None = None,
     title: str | None = None,
+    names: Sequence[str] | None = None,
 ) -> Path: ...
 @overload
 def show(
@@ -50,6 +53,7 @@ def show(
     fraction: AnyFraction = None,
     world: int | None = None,
     title: str | None = None,
+    names: Sequence[str] | None = None,
 ) -> Path: ...
 def show(
     scene: Scene,
@@ -60,6 +64,7 @@ def show(
     fraction: AnyFraction = None,
     world: int | None = None,
     title: str | None = None,
+    names: Sequence[str] | None = None,
 ) -> Page | Path:
     """Shows bodies on their paths, and their contacts, on an interactive page: a time slider, play, next collision.
 
@@ -82,6 +87,7 @@ def show(
             box on the page switches to whole paths, on which contacts are. Not in pictures and models.
         world: shows this world of the scene alone (`Scene.world`). Default: a page has a list of worlds to choose from.
         title: of the page. Default: numbers of bodies and contacts.
+        names: (N,) strings, of the bodies: a page says which two a contact is of. Default: numbers alone.
 
     Returns:
         The path, if one was given; else a `pgccd.viz.Page`.
@@ -102,8 +108,8 @@ def show(
     if path is not None:
         path = require_writable(arguments.path(path, "path"))
         if (write := _STILL.get(path.suffix.lower())) is not None:
-            return write(path, animation_of(scene, motion, hits, fraction, world))
-    page = Page.of(scene, motion, hits, fraction=fraction, world=world, title=title)
+            return write(path, animation_of(scene, motion, hits, fraction, world, names))
+    page = Page.of(scene, motion, hits, fraction=fraction, world=world, title=title, names=names)
     if page.left_out:
         warnings.warn(f"show: {' '.join(page.left_out)}", stacklevel=2)
     if path is not None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import json
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 from pgccd import arguments
@@ -47,7 +48,8 @@ class Page:
         filled = {
             "@TITLE@": html.escape(self.title),
             "@FIGURES@": lines,
-            "@DATA@": json.dumps(data, separators=(",", ":")),
+            # A name of a body must not end the element.
+            "@DATA@": json.dumps(data, separators=(",", ":")).replace("<", "\\u003c"),
         }
         template = _TEMPLATE.read_text(encoding="utf-8")
         self.html = re.sub("|".join(filled), lambda found: filled[found[0]], template)
@@ -62,11 +64,12 @@ class Page:
         fraction: AnyFraction = None,
         world: int | None = None,
         title: str | None = None,
+        names: Sequence[str] | None = None,
     ) -> Page:
         """A page of any scene.
 
         Args:
-            scene, motion, hits, fraction, world, title: as for `pgccd.show`.
+            scene, motion, hits, fraction, world, title, names: as for `pgccd.show`.
 
         Raises:
             TypeError, ValueError: as for `pgccd.show`.
@@ -75,7 +78,7 @@ class Page:
             >>> pgccd.viz.Page.of(scene, motion, hits).left_out
             []
         """
-        animation = animation_of(scene, motion, hits, fraction, world)
+        animation = animation_of(scene, motion, hits, fraction, world, names)
         animation.title = _title(animation) if title is None else title
         return cls(animation)
 

@@ -14,7 +14,7 @@ from support.shapes import height_field
 
 import pgccd
 from pgccd.auditing import audit as auditing
-from pgccd.auditing import windows
+from pgccd.motion import windows
 
 UPRIGHT = torch.tensor([1.0, 0.0, 0.0, 0.0], dtype=torch.float64)
 

@@ -262,7 +262,8 @@ MUTANTS = [
     _mutant("frames-end-early", SCENES, "if len(content) < size:", "if False:", ON_SCENES),
     _mutant("frames-of-the-shorter", SCENES, "itertools.zip_longest(*columns)", "zip(*columns)", ON_SCENES),
     _mutant("frames-with-margins", SCENES, "if names == set(kind)", "if names >= set(kind)", ON_SCENES),
-    _mutant("scene-in-file-units", SCENES, 'origin, unit="m")', "origin)", ON_FORMATS),
+    _mutant("scene-in-file-units", SCENES, 'origin, unit="m", solid', "origin, solid", ON_FORMATS),
+    _mutant("scene-solids", SCENES, "solid=solid)", "solid=False)", ON_SCENES),
     _mutant(
         "scene-origins", SCENES, "Mesh.load(path.parent / name, origin,", "Mesh.load(path.parent / name,", ON_SCENES
     ),
@@ -273,5 +274,17 @@ MUTANTS = [
         "for key in () if key in content}",
         ON_SCENES,
     ),
-    _mutant("scene-origin-count", SCENES, " or len(origins) != len(names):", ":", ON_SCENES),
+    _mutant("scene-origin-count", SCENES, " or len(values) != len(files):", ":", ON_SCENES),
+    # Written files.
+    _mutant("saved-frame-twice", SCENES, "known = min(count, 1)", "known = 0", ON_SCENES),
+    _mutant("saved-former-scene", SCENES, "        path.unlink(missing_ok=True)", "        pass", ON_SCENES),
+    _mutant("saved-static", SCENES, 'state["static"] = scene.static.bool()', "pass", ON_SCENES),
+    _mutant("saved-default-of-all", SCENES, "if values.ndim or values != _DEFAULTS[name]", "if values.ndim", ON_SCENES),
+    _mutant("saved-rounding", SCENES, 'if "rounding" in columns:', "if False:", ON_SCENES),
+    _mutant("saved-name-cut", SCENES, "arrays[name].item() != value", "False", ON_SCENES),
+    _mutant("saved-world-negative", SCENES, "    _ = scene.world_count  # which checks them\n", "", ON_SCENES),
+    _mutant("saved-margins-of-others", SCENES, "        motion._margins(None, scene.body_count)\n", "", ON_SCENES),
+    _mutant("names-of-others", "pgccd/arguments.py", "if len(names) != count:", "if False:", ON_SCENES),
+    _mutant("mesh-number-missing", SCENES, "if number not in states:", "if False:", ON_SCENES),
+    _mutant("frames-rounded", SCENES, ' - {"rounding"}', "", ON_SCENES),
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,6 +16,7 @@ from support.rollouts import Rollout, rows_of
 from support.shapes import unit_quaternions
 
 import pgccd
+from pgccd.cli import main
 
 MODEL = """
 <mujoco><option timestep="0.004"/><worldbody>
@@ -149,6 +151,39 @@ def test_filters_are_those_of_mujoco(option: str, with_pairs: bool) -> None:
     assert ours == theirs and len(ours) > 5
 
 
+def check_saved(
+    path: Path, simulator: Any, frames: list[tuple[torch.Tensor, torch.Tensor]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A run that is saved as it is made gives the same audit, with names, from its files."""
+    assert simulator.save(path, iter(frames)) == path
+    scene, rollout = pgccd.files.load_scene(path)
+    found, expected = pgccd.audit(scene, rollout), pgccd.audit(simulator.scene, frames)
+    assert found.passages == expected.passages and found.enclosed == expected.enclosed
+    assert found.touching.pairs.tolist() == expected.touching.pairs.tolist()
+    assert pgccd.files.load_names(path) == simulator.names
+    capsys.readouterr()  # what simulators print
+    assert main(["audit", "--scene", str(path), "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)["passages"]
+    pairs = expected.passages.pairs.tolist()
+    assert len(rows) > 0 and [row["names"] for row in rows] == [[simulator.names[k] for k in pair] for pair in pairs]
+
+
+def test_saved_runs_of_mujoco(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    mujoco = pytest.importorskip("mujoco")
+    model = mujoco.MjModel.from_xml_string(WALLS_AND_BARS)
+    data = mujoco.MjData(model)
+    dart, bar = (int(model.jnt_dofadr[model.body(name).jntadr[0]]) for name in ("dart", "bar"))
+    data.qvel[dart : dart + 3], data.qvel[bar] = [0.0, 0.0, -200.0], 150.0
+    simulator = pgccd.simulators.MuJoCo(model)
+    check_saved(tmp_path / "run.json", simulator, list(mujoco_frames(mujoco, simulator, model, data, 3)), capsys)
+    again, scene = pgccd.files.load_scene(tmp_path / "run.json")[0], simulator.scene
+    for name in ("group", "mask", "static"):
+        assert torch.equal(getattr(again, name), getattr(scene, name)), name
+    assert [mesh.solid for mesh in again.meshes.meshes] == [mesh.solid for mesh in scene.meshes.meshes] != [False] * 7
+    with pytest.raises(ValueError, match="^motion: expected at least two frames, got 1"):
+        simulator.save(tmp_path / "run.json", [simulator.frame(data)])
+
+
 def test_errors_of_mujoco() -> None:
     mujoco = pytest.importorskip("mujoco")
     empty = mujoco.MjModel.from_xml_string("<mujoco><worldbody/></mujoco>")
@@ -157,7 +192,7 @@ def test_errors_of_mujoco() -> None:
 
 
 @pytest.mark.timeout(300)
-def test_newton() -> None:
+def test_newton(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     newton, warp = pytest.importorskip("newton"), pytest.importorskip("warp")
     warp.config.quiet = True
     rng = np.random.default_rng(1)
@@ -196,6 +231,8 @@ def test_newton() -> None:
     bottom.append(1.5 - 0.8 + 0.1 * axes[4][0, 2] - 0.07)
     expected = [(z - 0.502) / 0.4 for z in bottom]
     np.testing.assert_allclose(worst.toi[worst.pairs[:, 0] == 0].numpy(), expected, atol=1e-4)
+    state = model.state()
+    check_saved(tmp_path / "run.json", simulator, [tuple(c.clone() for c in frame) for frame in frames()], capsys)  # type: ignore[misc]
     position, _ = simulator.frame(model.state())
     assert position.dtype == torch.float32 and position[-1].tolist() == [0.0, 0.0, 0.0]
 
@@ -222,7 +259,9 @@ def client() -> Iterator[tuple[Any, int]]:
     bullet.disconnect(number)
 
 
-def test_pybullet_tunnels_and_the_audit_finds_it(client: tuple[Any, int]) -> None:
+def test_pybullet_tunnels_and_the_audit_finds_it(
+    client: tuple[Any, int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     bullet, number = client
     half = np.array([[1.0, 1.0, 0.002]] + [[0.05, 0.04, 0.002]] * 4)
     for k, h in enumerate(half):
@@ -242,6 +281,7 @@ def test_pybullet_tunnels_and_the_audit_finds_it(client: tuple[Any, int]) -> Non
     position, orientation = (torch.stack(column).numpy() for column in zip(*frames, strict=True))
     deep, any_at_all = Rollout(half, position, orientation).overlapping_between(1e-3)
     assert len(deep) > 1 and deep <= rows_of(found.passages) <= any_at_all
+    check_saved(tmp_path / "run.json", simulator, frames, capsys)
 
 
 def slack_of_boxes(bullet: Any, simulator: pgccd.simulators.PyBullet) -> np.ndarray:

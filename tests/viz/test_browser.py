@@ -148,6 +148,13 @@ def test_next_collision_shows_two_colours_the_point_and_what_it_ticked(open_page
     assert tab.inner_text("#pair-why") == ""
 
 
+def test_contacts_are_told_by_names(open_page: Callable[[viz.Page], Any]) -> None:
+    scene, motion, hits = meeting()
+    tab = open_page(viz.Page.of(scene, motion, hits, names=["<i>cup</i> & lid", "table", "lamp"]))
+    tab.evaluate("element('next').click()")
+    assert tab.inner_text("#about").startswith("Body 0 (<i>cup</i> & lid) and body 1 (table) touch at ")
+
+
 def test_play_moves_the_slider_and_stops(open_page: Callable[[viz.Page], Any]) -> None:
     tab = open_page(viz.Page.of(*meeting()))
     tab.click("#play")

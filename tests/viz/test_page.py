@@ -494,3 +494,21 @@ def test_extreme_sizes_and_triangles_without_area() -> None:
         assert all(np.isfinite(v).all() and np.abs(v).max() < 4 * scale for v in vertices_at(data, 0, 1.0).values())
     none = pgccd.Scene([flat], [])
     assert data_of(viz.Page.of(none, pgccd.RigidMotion(*[torch.zeros(0, k).double() for k in (3, 4, 3, 4)])))
+
+
+def test_names_of_the_bodies_of_contacts() -> None:
+    """Whatever they hold, within the limits of a page, and of the world that is shown."""
+    x = torch.tensor([[0.0, 0, 0], [3.0, 0, 0], [0, 0, 50.0], [0, 0, 0], [3.0, 0, 0]], dtype=torch.float64)
+    q = torch.tensor([IDENTITY] * 5, dtype=torch.float64)
+    scene = pgccd.Scene([pgccd.Mesh.box([1.0, 1.0, 1.0])], [0] * 5, world=[0, 0, 0, 1, 1])
+    motion = pgccd.RigidMotion(x, q, x + torch.tensor([[0.0], [-1.0], [0.0], [0.0], [-1.0]]) * x[1], q)
+    hits = pgccd.detect(scene, motion)
+    names = ["</script><b>", "\N{SNOWMAN}" * 300, "far", "d", "e"]
+    page = viz.Page.of(scene, motion, hits, names=names)
+    assert page.html.count("</script>") == viz.Page.of(scene, motion, hits).html.count("</script>")
+    expected = {"0": names[0], "1": names[1][:80] + "…", "3": "d", "4": "e"}
+    assert data_of(page)["bodies"]["names"] == expected and data_of(viz.Page.of(scene, motion))["bodies"]["names"] == {}
+    shown = data_of(viz.Page.of(scene, motion, hits, names=names, world=1))
+    assert shown["bodies"]["names"] == {"3": "d", "4": "e"}
+    with pytest.raises(ValueError, match="^names: expected 5 strings, one per body, got 1"):
+        pgccd.show(scene, motion, hits, names=["a"])
