@@ -38,7 +38,7 @@ _KINDS = ((_VERTICES, ()), (_WAYPOINTS[:1], _WAYPOINTS[1:]), (_START, (*_END, *_
 _SCENE = ("meshes", "mesh_index", "poses")
 _OPTIONAL = (*OPTIONAL_COLUMNS, "self_collision", "exclude")
 # Of mesh files, one value a mesh.
-_OF_MESHES: dict[str, Any] = {"origin": (0.0, 0.0, 0.0), "solid": False}
+_OF_MESHES: dict[str, Any] = {"origin": (0.0, 0.0, 0.0), "solid": False, "thickness": 0.0}
 # Entries of a mesh's state that may be None, and are then not in a file.
 _MAYBE = ("name", "unit", "source_vertex", "source_face")
 
@@ -147,9 +147,9 @@ def load_scene(
 
     The file holds {"meshes": [files], "mesh_index": [numbers], "poses": npz file as for `load_motion`}, paths relative
     to it; and optionally "group", "mask", "world", "static", "self_collision", "margin" and "names", lists with one
-    value per body; "exclude", a list of pairs of bodies that are never tested; and "origin" and "solid", lists with one
-    value per mesh: a point [x, y, z] or a name; true, false or "auto", as for `Mesh`. In place of a list, "meshes" may
-    be the npz file that `save_scene` writes, which holds origins and solids too.
+    value per body; "exclude", a list of pairs of bodies that are never tested; and "origin", "solid" and "thickness", lists
+    with one value per mesh: a point [x, y, z] or a name; true, false or "auto"; and a length, as for `Mesh`. In place
+    of a list, "meshes" may be the npz file that `save_scene` writes, which holds these too.
 
     Args:
         path: of the file.
@@ -454,7 +454,10 @@ def _meshes_of(path: Path, content: Mapping[str, Any]) -> list[Mesh]:
             raise ValueError(f"{key}: expected a list of {len(files)} values, one a mesh, got {values!r}")
         columns.append(values)
     of_files = zip(files, *columns, strict=True)
-    return [Mesh.load(path.parent / name, origin, unit="m", solid=solid) for name, origin, solid in of_files]
+    return [
+        Mesh.load(path.parent / name, origin, unit="m", solid=solid).thickened(thickness)
+        for name, origin, solid, thickness in of_files
+    ]
 
 
 def _load_meshes(path: Path) -> list[Mesh]:

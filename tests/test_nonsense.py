@@ -117,15 +117,19 @@ def calls(folder: Path) -> dict[str, Call]:
     return {
         "Mesh": Call(
             pgccd.Mesh,
-            {"vertices": mesh.vertices, "faces": mesh.faces, "origin": "centroid"},
+            {"vertices": mesh.vertices, "faces": mesh.faces, "origin": "centroid", "solid": "auto", "thickness": 0.1},
             {"vertices": ("faces", "origin")},
         ),
-        "Mesh.from_trimesh": Call(pgccd.Mesh.from_trimesh, {"mesh": mesh, "origin": "centroid", "weld": True}),
+        "Mesh.from_trimesh": Call(
+            pgccd.Mesh.from_trimesh, {"mesh": mesh, "origin": "centroid", "weld": True, "solid": "auto"}
+        ),
         "Mesh.load": Call(
-            pgccd.Mesh.load, {"path": folder / "mesh.obj", "origin": "centroid", "weld": True, "unit": "mm"}
+            pgccd.Mesh.load,
+            {"path": folder / "mesh.obj", "origin": "centroid", "weld": True, "unit": "mm", "solid": "auto"},
         ),
         "Mesh.load_all": Call(
-            pgccd.Mesh.load_all, {"path": folder / "mesh.obj", "origin": "centroid", "weld": True, "unit": "mm"}
+            pgccd.Mesh.load_all,
+            {"path": folder / "mesh.obj", "origin": "centroid", "weld": True, "unit": "mm", "solid": "auto"},
         ),
         "MeshSet": Call(pgccd.MeshSet, {"meshes": [mesh], "device": "cpu"}),
         "Scene": Call(
@@ -228,9 +232,15 @@ def calls(folder: Path) -> dict[str, Call]:
         ),
         "approach_rates": Call(pgccd.approach_rates, {"scene": scene, "motion": motion, "hits": hits}),
         "Contacts.first_toi": Call(hits.first_toi, {"by": "body"}),
-        "Mesh.box": Call(pgccd.Mesh.box, {"extents": (1.0, 1.0, 1.0), "origin": "centroid"}, {"extents": ("origin",)}),
-        "Mesh.sphere": Call(pgccd.Mesh.sphere, {"radius": 1.0, "subdivisions": 1, "origin": "centroid"}),
-        "Mesh.cylinder": Call(pgccd.Mesh.cylinder, {"radius": 1.0, "height": 1.0, "sections": 8, "origin": "centroid"}),
+        "Mesh.as_solid": Call(mesh.as_solid, {"solid": "auto"}),
+        "Mesh.thickened": Call(mesh.thickened, {"thickness": 0.1}),
+        "Mesh.box": Call(
+            pgccd.Mesh.box, {"extents": (1.0, 1.0, 1.0), "origin": "centroid", "solid": True}, {"extents": ("origin",)}
+        ),
+        "Mesh.sphere": Call(pgccd.Mesh.sphere, {"radius": 1.0, "subdivisions": 1, "origin": "centroid", "solid": True}),
+        "Mesh.cylinder": Call(
+            pgccd.Mesh.cylinder, {"radius": 1.0, "height": 1.0, "sections": 8, "origin": "centroid", "solid": True}
+        ),
         "CapturedDetection": Call(
             pgccd.CapturedDetection,
             {"scene": scene, "motion": motion, "report": "first", **options, "broad_phase": "auto"}

@@ -216,7 +216,7 @@ MUTANTS = [
     Mutant(
         "distance-radius-without-margin",
         MEASURE,
-        "bodies.radius + scene.margin",
+        "bodies.radius + thickness",
         "bodies.radius",
         ON_DISTANCE,
         switched=False,

@@ -8,6 +8,7 @@ WINDING = "csrc/kernels/narrow/winding_item.h"
 ENCLOSURES = "csrc/core/enclosures.h"
 PYTHON = "pgccd/"
 ON_SOLIDS = ("search/test_solids.py",)
+ON_THICKNESS = ("search/test_thickness.py",)
 ON_ENCLOSED = ("search/test_enclosed.py",)
 PASSES = "turn != 0 && static_cast<int>(volume()) == turn ? turn : 0"
 OFFSET = "(between + point) - centre"
@@ -73,7 +74,7 @@ MUTANTS = [
         "return float(of_faces.sum()) > 1e-12",
         "return abs(float(of_faces.sum())) > 1e-12",
     ),
-    _python("forgotten", "geometry/mesh.py", ', "solid": False}', "}"),
+    _python("forgotten", "geometry/mesh.py", '"solid": False, ', ""),
     _python("digest", "geometry/digest.py", "if mesh.solid:", "if False:"),
     _python(
         "enclosed-where-surfaces-meet",
@@ -98,6 +99,36 @@ MUTANTS = [
         "bare.meshes = meshes",
         ON_ENCLOSED,
     ),
+    _python("thickness-forgotten", "geometry/scene.py", "if self.meshes.thickness is None:", "if True:", ON_THICKNESS),
+    _python(
+        "thickness-in-place-of-margins",
+        "geometry/scene.py",
+        "return sum_of_margins(self.meshes.thickness.index_select(0, self._sound_index), self.margin)",
+        "return self.meshes.thickness.index_select(0, self._sound_index)",
+        ON_THICKNESS,
+    ),
+    _python(
+        "thickness-rounded-down",
+        "geometry/scene_columns.py",
+        "torch.where(is_exact, plain, torch.nextafter(plain, torch.full_like(plain, torch.inf)))",
+        "plain",
+        ON_THICKNESS,
+    ),
+    _python(
+        "thickness-of-what-is-enclosed",
+        "geometry/mesh_set.py",
+        """        other.thickness = None
+        return other
+
+    @cached_property
+    def _closed""",
+        """        return other
+
+    @cached_property
+    def _closed""",
+        ON_THICKNESS,
+    ),
+    _python("thickness-not-in-digests", "geometry/digest.py", "if mesh.thickness:", "if False:", ON_THICKNESS),
     _python("audit-of-solids", "auditing/audit.py", "scene.meshes = scene.meshes._surfaces", "pass"),
     _python("distance-of-surfaces", "search/distance.py", "if scene.meshes.has_solids:", "if False:"),
     _python(
