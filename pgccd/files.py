@@ -147,9 +147,9 @@ def load_scene(
 
     The file holds {"meshes": [files], "mesh_index": [numbers], "poses": npz file as for `load_motion`}, paths relative
     to it; and optionally "group", "mask", "world", "static", "self_collision", "margin" and "names", lists with one
-    value per body; "exclude", a list of pairs of bodies that are never tested; and "origin", "solid" and "thickness", lists
-    with one value per mesh: a point [x, y, z] or a name; true, false or "auto"; and a length, as for `Mesh`. In place
-    of a list, "meshes" may be the npz file that `save_scene` writes, which holds these too.
+    value per body; "exclude", a list of pairs of bodies that are never tested; and "origin", "solid" and "thickness",
+    lists with one value per mesh: a point [x, y, z] or a name; true, false or "auto"; and a length, as for `Mesh`. In
+    place of a list, "meshes" may be the npz file that `save_scene` writes, which holds these too.
 
     Args:
         path: of the file.

@@ -126,10 +126,12 @@ def calls(folder: Path) -> dict[str, Call]:
         "Mesh.load": Call(
             pgccd.Mesh.load,
             {"path": folder / "mesh.obj", "origin": "centroid", "weld": True, "unit": "mm", "solid": "auto"},
+            {"solid": ("path",)},
         ),
         "Mesh.load_all": Call(
             pgccd.Mesh.load_all,
             {"path": folder / "mesh.obj", "origin": "centroid", "weld": True, "unit": "mm", "solid": "auto"},
+            {"solid": ("path",)},
         ),
         "MeshSet": Call(pgccd.MeshSet, {"meshes": [mesh], "device": "cpu"}),
         "Scene": Call(
