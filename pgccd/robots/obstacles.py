@@ -23,12 +23,14 @@ class Obstacles:
         orientation: (M, 4) or (B, M, 4) unit quaternions (w, x, y, z), body to world. Default: (1, 0, 0, 0).
         mesh_index: (M,) integers: mesh of each obstacle. Default: one obstacle a mesh.
         margin: thickness, a number or (M,): a sphere is a point with its radius as margin. Default: none.
+        names: (M) different names, for `Robot.allow` and results. Default: "obstacle 0" and so on.
 
     Attributes:
         meshes: as given; those that are watertight and face outwards as solids, so that no robot is free inside.
         mesh_index: (M,) int64.
         position, orientation: (M, 3) and (M, 4), or (B, M, 3) and (B, M, 4), float64.
         margin: (M,) float64.
+        names: (M) as given.
         environments: B, or None if the obstacles are the same in all environments.
 
     Raises:
@@ -36,7 +38,8 @@ class Obstacles:
             `certify`: they say nothing about others.
 
     Example:
-        >>> table = pgccd.robots.Obstacles([pgccd.Mesh.box([1.0, 1.0, 0.1])], torch.tensor([[0.5, 0.0, -0.1]]))
+        >>> plate = pgccd.Mesh.box([1.0, 1.0, 0.1])
+        >>> table = pgccd.robots.Obstacles([plate], torch.tensor([[0.5, 0.0, -0.1]]), names=["table"])
     """
 
     def __init__(
@@ -47,6 +50,7 @@ class Obstacles:
         *,
         mesh_index: Tensor | Sequence[int] | None = None,
         margin: Tensor | Sequence[float] | float | None = None,
+        names: Sequence[str] | None = None,
     ) -> None:
         if isinstance(meshes, (Mesh, str)) or not isinstance(meshes, Sequence):
             raise TypeError(f"meshes: expected a list of meshes, got {arguments.describe(meshes)}")
@@ -61,6 +65,7 @@ class Obstacles:
         require_meshes(self.mesh_index, len(meshes))
         count = len(self.mesh_index)
         self.margin = margin_column(0.0 if margin is None else margin, count, cpu)
+        self.names = [f"obstacle {k}" for k in range(count)] if names is None else _names(names, count)
         upright = torch.tensor([1.0, 0.0, 0.0, 0.0], dtype=torch.float64)
         self.position = _poses(torch.zeros(count, 3) if position is None else position, "position", count, 3)
         self.orientation = _poses(
@@ -99,6 +104,18 @@ class Obstacles:
 
     def __repr__(self) -> str:
         return f"Obstacles(count={self.count}, environments={self.environments})"
+
+
+def _names(names: Sequence[str], count: int) -> list[str]:
+    if isinstance(names, str) or not isinstance(names, Sequence):
+        raise TypeError(f"names: expected a list of names, got {arguments.describe(names)}")
+    for index, name in enumerate(names):
+        arguments.instance(name, f"names[{index}]", str)
+        if not name or name in names[:index]:
+            raise ValueError(f"names[{index}]: expected a name that no obstacle before it has, got {name!r}")
+    if len(names) != count:
+        raise ValueError(f"names: expected {count}, one of each obstacle, got {len(names)}")
+    return list(names)
 
 
 def _poses(values: Tensor, name: str, count: int, width: int) -> Tensor:

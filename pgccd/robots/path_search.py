@@ -173,7 +173,7 @@ class PathSearch:
             raise ValueError(f"q: expected {given} environments, as the obstacles have, got {len(q)}")
         self._steps = self._searches = 0
         scene = self._scene if self._scene.device == q.device else self._scene.to(q.device)
-        found = Certificate._without_contact(len(q), robot, q.device)
+        found = Certificate._without_contact(len(q), robot, obstacles, q.device)
         valid = (robot._magnitudes(q) <= LARGEST_VALUE).flatten(1).all(dim=1) & ~robot._may_leave(q).any(dim=1)
         valid &= (self._turns(q[:, 1:] - q[:, :-1]) <= LONGEST_TURN).all(dim=1)
         if obstacles is not None:
