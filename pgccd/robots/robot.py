@@ -25,7 +25,7 @@ from pgccd.robots.kinematics import Joint, Poses, Tree
 from pgccd.robots.obstacles import Obstacles
 from pgccd.robots.shapes import PLANE, ThickSurface, joined
 from pgccd.robots.stray import LONGEST_TURN, MOST_TURN, Chains, pose_error, stray_bound, turns
-from pgccd.robots.untested import LeftOut, WhyUntested
+from pgccd.robots.untested import LeftOut, WhyUntested, sorted_pairs
 from pgccd.search.detect import collide
 
 if TYPE_CHECKING:
@@ -97,6 +97,7 @@ class Robot:
         self.name, self.joint_names = name, list(joint_names)
         self.lower, self.upper = torch.tensor(limits, dtype=torch.float64).reshape(-1, 2).unbind(1)
         self._of_file, self._attached = (tree, links, why_untested), list(attached)
+        self.attached = [each.name for each in attached]
         for each in attached:
             frame = next(frame for link, frame, _ in links if link == each.link)
             tree = Tree([*tree.joints, each.joint(frame)])
@@ -187,12 +188,8 @@ class Robot:
         return found
 
     @property
-    def attached(self) -> list[str]:
-        return [each.name for each in self._attached]
-
-    @property
     def exclude(self) -> Tensor:
-        return _pairs(self._why_untested)
+        return sorted_pairs(self._why_untested)
 
     @property
     def untested(self) -> list[tuple[str, str, str]]:
@@ -413,8 +410,8 @@ class Robot:
         return torch.cat(columns, dim=-1)
 
     def scene(self, obstacles: Obstacles | None = None) -> Scene:
-        """The robot's bodies, then those of the obstacles, which do not move. Bodies that do not move are not tested
-        against each other.
+        """The robot's bodies, then those of the obstacles. Bodies that do not move are not tested against each other;
+        nor are obstacles.
 
         Args:
             obstacles: the obstacles, if any.
@@ -441,13 +438,18 @@ class Robot:
             meshes += obstacles.meshes
             index = torch.cat([torch.arange(first), first + obstacles.mesh_index])
             margin = torch.cat([margin, obstacles.margin])
-            static = torch.cat([static, torch.ones(obstacles.count, dtype=torch.bool)])
+            static = torch.cat([static, ~obstacles.moves])
             for link, name in self._left_out.with_obstacles:
                 other = self.body_count + obstacles.names.index(name)
                 exclude |= {(k, other) for k, own in enumerate(self.body_link.tolist()) if self.link_names[own] == link}
         else:
             index = torch.arange(len(meshes))
-        return Scene(meshes, index, static=static, margin=margin, exclude=_pairs(exclude))
+        scene = Scene(meshes, index, static=static, margin=margin, exclude=sorted_pairs(exclude))
+        if obstacles is not None and bool(obstacles.moves.any()):
+            # Obstacles are not tested against each other.
+            is_robot = (torch.arange(len(index)) < self.body_count).long()
+            scene.group, scene.mask = 2 - is_robot, 1 + 2 * is_robot
+        return scene
 
     def trajectory(self, q: Tensor, obstacles: Obstacles | None = None) -> Trajectory:
         """The path through configurations, for `pgccd.detect` with `scene`: with margins within which links stray from
@@ -500,10 +502,10 @@ class Robot:
         margin = self._stray(before, after, size.repeat_interleave(parts, dim=0))
         x, r = self._of_bodies(poses)
         if obstacles is not None:
-            if obstacles.environments is not None:
-                expected = "obstacles with one pose each"
-                raise ValueError(f"obstacles: expected {expected}, got {obstacles.environments} environments")
-            x, r = obstacles._added_to(x, r, torch.zeros(len(q), dtype=torch.int64))
+            if obstacles.environments is not None or obstacles.motion is not None:
+                raise ValueError(f"obstacles: expected obstacles with one pose each, got {obstacles}")
+            zero = torch.zeros(len(q), dtype=torch.int64)
+            x, r = obstacles._added_to(x, r, zero, zero, zero)
             margin = torch.cat([margin, margin.new_zeros(len(margin), obstacles.count)], dim=1)
         return Trajectory(x, r, margin=margin)
 
@@ -566,11 +568,6 @@ class Robot:
         counts = f"joints={self.joint_count}, links={len(self.link_names)}, bodies={self.body_count}"
         attached = f", attached={self.attached}" if self.attached else ""
         return f"Robot({self.name!r}, {counts}{attached}, untested pairs={len(self.untested)})"
-
-
-def _pairs(pairs: Iterable[tuple[int, int]]) -> Tensor:
-    """(E, 2) int64, sorted."""
-    return torch.tensor(sorted(pairs), dtype=torch.int64).reshape(-1, 2)
 
 
 def robot_of_file(path: Path, neutral: Sequence[float], *parts: Any) -> Robot:

@@ -6,6 +6,9 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import torch
+from torch import Tensor
+
 from pgccd import arguments
 
 #: The reason why surfaces of links i and j, of the groups that the reader gave them, are never tested, or None.
@@ -70,3 +73,8 @@ class LeftOut:
             if name not in names:
                 what = f"one named {name!r}, which `allow` names with {link!r}"
                 raise ValueError(f"obstacles: expected {what}, got {list(names) or 'none'}")
+
+
+def sorted_pairs(pairs: Iterable[tuple[int, int]]) -> Tensor:
+    """(E, 2) int64."""
+    return torch.tensor(sorted(pairs), dtype=torch.int64).reshape(-1, 2)

@@ -241,7 +241,10 @@ def state(robot: Robot) -> dict[str, Any]:
 def test_detached(tmp_path: Path) -> None:
     """Everything is as before, what was left out on request included."""
     rng = np.random.default_rng(4)
-    robot = loaded(beams(4), tmp_path).allow([("link0", "link3"), ("link1", "post")])
+    asked = [("link0", "link3"), ("link0", "link2"), ("link1", "post"), ("link3", "post")]
+    robot = loaded(beams(4), tmp_path).allow(asked)
+    assert {(a, b) for a, b, why in robot.untested if why == "allowed"} == set(asked)
+    assert {frozenset(pair) for pair in asked[:2]} < named(robot) and len(robot.exclude) == 5
     obstacles, _, _ = boxes(rng, 3, 0.5, 1.2)
     obstacles = Obstacles(obstacles.meshes, obstacles.position, obstacles.orientation, names=["one", "post", "two"])
     q = torch.tensor(paths(rng, robot, 10))
