@@ -190,9 +190,12 @@ def test_what_is_tested_with_what(tmp_path: Path) -> None:
     assert found.verdict.tolist() == [int(Verdict.COLLISION)] and found.names(0) == ("link0", "cart")
     assert bool(certified(0.1, robot.allow([("link0", "cart")])).free[0])
     assert not bool(certified(0.1, robot.allow([("link0", "other")])).free[0])
-    far = [-4.95, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]
-    carrying = robot.attach("link1", CUBE, ([-4.95, 1.0, 0.0], far[1]), name="box")
+    upright = [1.0, 0.0, 0.0, 0.0]
+    carrying = robot.attach("link1", CUBE, ([-4.95, 1.0, 0.0], upright), name="box")
     assert certified(0.95, carrying).names(0) == ("box", "cart") and bool(certified(1.3, carrying).free[0])
+    inside = robot.attach("link1", CUBE, ([-5.0, 0.0, 0.0], upright), name="box")  # links are tested with each other
+    for y in (3.0, 2.0):
+        assert certified(y, inside).names(0) == ("link0", "box")
     # The last waypoint counts too, and a turn on the spot.
     spin = pgccd.Trajectory(
         torch.zeros(2, 1, 3, dtype=torch.float64),
