@@ -14,7 +14,7 @@ from support.arms import UPRIGHT, beams, loaded, random_arm
 from support.cases import mostly_slow
 
 import pgccd
-from pgccd.robots import Obstacles, Robot, Verdict
+from pgccd.robots import Obstacles, Robot, Verdict, path_search
 from pgccd.robots.kinematics import quaternion_of
 from robots.test_path_search import same, untested
 
@@ -240,6 +240,25 @@ def test_rounding_of_poses_between_waypoints() -> None:
                         turned = exactly_turned(found_r[m].numpy().astype(np.longdouble), sweep.half[m])
                         away = found_x[m].numpy() + turned - (exact_x + exactly_turned(exact_r, sweep.half[m]))
                         assert float(np.sqrt((away * away).sum())) <= most[m]
+
+
+def test_margins_have_that_rounding(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In every step and configuration that is tested, besides the margins that are given."""
+    robot = loaded(Arm([Part("revolute", UPRIGHT, UPRIGHT, (0, 0, 1), half=(0.1, 0.1, 0.1))]), tmp_path)
+    found: list[torch.Tensor] = []
+
+    def detect(scene: pgccd.Scene, *given: Any, **more: Any) -> pgccd.Contacts:
+        assert scene.margin is not None
+        found.append(scene.margin.view(-1, 2)[:, 1])
+        return pgccd.detect(scene, *given, **more)
+
+    monkeypatch.setattr(path_search, "detect", detect)
+    for margin in (0.0, 0.25):
+        found.clear()
+        obstacles = Obstacles([CUBE], motion=along(1e6, 0.0), margin=margin)
+        assert robot.certify(rest(robot), obstacles).verdict.tolist() == [int(Verdict.COLLISION)]
+        least = margin + 2.0**-46 * 1e6
+        assert len(found) >= 2 and all(bool(((m > least) & (m < least + 1e-12 + 1e-3 * least)).all()) for m in found)
 
 
 def exact(sweep: Sweep, segment: int, m: int, s: np.longdouble) -> tuple[np.ndarray, np.ndarray]:
