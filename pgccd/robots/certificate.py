@@ -13,6 +13,7 @@ from torch import Tensor
 from pgccd.contacts.rows import Form, Rows
 
 if TYPE_CHECKING:
+    from pgccd.robots.obstacles import Obstacles
     from pgccd.robots.robot import Robot
 
 
@@ -50,8 +51,9 @@ class Certificate(Rows):
         links: (B, 2) int64: what meets there: a link, or -1 - k for obstacle k; the number of links where nothing does.
         point: (B, 3) float64, world frame: where they meet; nan if nothing does.
         link_names: names of the robot's links.
-        untested: `Robot.untested`: pairs of links of which nothing is said. Those that samples left out are counted in
-            the `repr`, since they may touch in other configurations.
+        obstacle_names: names of the obstacles.
+        untested: `Robot.untested`: pairs of links, and of links and obstacles, of which nothing is said. Those that
+            samples left out are counted in the `repr`, since they may touch in other configurations.
         steps: number of steps that were tested, the segments and the parts into which they were split.
         searches: number of calls of `pgccd.detect` in sequence.
 
@@ -68,6 +70,7 @@ class Certificate(Rows):
     links: Tensor
     point: Tensor
     link_names: list[str] = field(default_factory=list)
+    obstacle_names: list[str] = field(default_factory=list)
     untested: list[tuple[str, str, str]] = field(default_factory=list)
     steps: int = 0
     searches: int = 0
@@ -83,12 +86,15 @@ class Certificate(Rows):
     }
 
     @classmethod
-    def from_state_dict(cls, state: dict[str, Any], robot: Robot) -> Certificate:  # type: ignore[override]
+    def from_state_dict(  # type: ignore[override]
+        cls, state: dict[str, Any], robot: Robot, obstacles: Obstacles | None = None
+    ) -> Certificate:
         """The certificates of a `state_dict`, on the device of its tensors.
 
         Args:
             state: from `state_dict`.
             robot: whose paths these are.
+            obstacles: for their names. Default: they are "obstacle 0" and so on.
 
         Raises:
             TypeError, ValueError: naming the entry that is missing or invalid.
@@ -97,17 +103,22 @@ class Certificate(Rows):
             >>> result = robot.certify(torch.zeros(1, 2, robot.joint_count))
             >>> again = pgccd.robots.Certificate.from_state_dict(result.state_dict(), robot)
         """
-        return cls(**cls._columns_of(state), link_names=robot.link_names, untested=robot.untested)
+        return cls(**cls._columns_of(state), **_names(robot, obstacles))
 
     def _followed_by(self, others: Sequence[Certificate]) -> Certificate:
-        for k, each in enumerate(others, 1):
+        names = max((each.obstacle_names for each in (self, *others)), key=len)
+        for k, each in enumerate((self, *others)):
             if each.link_names != self.link_names or each.untested != self.untested:
                 raise ValueError(f"results[{k}]: is of another robot than the first one")
+            if each.obstacle_names != names[: len(each.obstacle_names)]:
+                raise ValueError(f"results[{k}]: is of obstacles with other names than {names}")
         counts = {name: sum(getattr(each, name) for each in (self, *others)) for name in ("steps", "searches")}
-        return replace(super()._followed_by(others), **counts)
+        return replace(super()._followed_by(others), obstacle_names=names, **counts)
 
     @classmethod
-    def _without_contact(cls, environments: int, robot: Robot, device: torch.device) -> Certificate:
+    def _without_contact(
+        cls, environments: int, robot: Robot, obstacles: Obstacles | None, device: torch.device
+    ) -> Certificate:
         """A result in which nothing has been found, to be filled by the search before it is returned."""
 
         def filled(value: float, *shape: int, dtype: torch.dtype = torch.float64) -> Tensor:
@@ -120,8 +131,7 @@ class Certificate(Rows):
             toi=filled(torch.inf),
             links=filled(len(robot.link_names), 2, dtype=torch.int64),
             point=filled(torch.nan, 3),
-            link_names=robot.link_names,
-            untested=robot.untested,
+            **_names(robot, obstacles),
         )
 
     @property
@@ -145,10 +155,19 @@ class Certificate(Rows):
         links = self.links[environment].tolist()
         if links[0] == len(self.link_names):
             return ()
-        return tuple(self.link_names[k] if k >= 0 else f"obstacle {-1 - k}" for k in links)
+        return tuple(self.link_names[k] if k >= 0 else self._obstacle(-1 - k) for k in links)
+
+    def _obstacle(self, number: int) -> str:
+        return self.obstacle_names[number] if number < len(self.obstacle_names) else f"obstacle {number}"
 
     def __repr__(self) -> str:
         counts = [f"{v.name.lower()}={n}" for v in Verdict if (n := int((self.verdict == int(v)).sum()))]
         if sampled := sum(why.startswith("sampled") for _, _, why in self.untested):
             counts.append(f"untested_sampled={sampled}")
         return f"Certificate({', '.join([f'environments={len(self)}', *counts])})"
+
+
+def _names(robot: Robot, obstacles: Obstacles | None) -> dict[str, Any]:
+    """What a certificate says of the names of links and obstacles."""
+    names = [] if obstacles is None else obstacles.names
+    return {"link_names": robot.link_names, "obstacle_names": names, "untested": robot.untested}

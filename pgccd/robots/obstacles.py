@@ -1,4 +1,4 @@
-"""What robots must not touch: bodies at rest."""
+"""What robots must not touch: bodies at rest, or that move on the clock of a path."""
 
 from __future__ import annotations
 
@@ -7,14 +7,20 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from pgccd import arguments
+from pgccd import arguments, ops
 from pgccd.geometry.mesh import Mesh
 from pgccd.geometry.scene_columns import integer_column, margin_column, require_meshes
+from pgccd.motion.paths import RigidMotion
+from pgccd.motion.trajectory import Trajectory
 from pgccd.motion.validation import LARGEST_COORDINATE, UNIT_TOLERANCE
+from pgccd.motion.vectors import norm
+
+# Error of a pose between waypoints, in units of coordinates, and of the reach for each radian and one more.
+_POSE_ERROR = 2.0**-46
 
 
 class Obstacles:
-    """M bodies at rest, in one or more environments.
+    """M bodies at rest, in one or more environments; or that move while the joints do.
 
     Args:
         meshes: the meshes. Draw a workspace that robots are inside of with faces that face inwards.
@@ -23,12 +29,19 @@ class Obstacles:
         orientation: (M, 4) or (B, M, 4) unit quaternions (w, x, y, z), body to world. Default: (1, 0, 0, 0).
         mesh_index: (M,) integers: mesh of each obstacle. Default: one obstacle a mesh.
         margin: thickness, a number or (M,): a sphere is a point with its radius as margin. Default: none.
+        motion: a trajectory of the M obstacles, in place of `position` and `orientation`, in all environments. It has
+            as many waypoints as the paths of joint values, and each of its segments takes place during that of the
+            path. Of rigid bodies, on rigid paths, without margins.
+        names: (M) different names, for `Robot.allow` and results. Default: "obstacle 0" and so on.
 
     Attributes:
         meshes: as given; those that are watertight and face outwards as solids, so that no robot is free inside.
         mesh_index: (M,) int64.
-        position, orientation: (M, 3) and (M, 4), or (B, M, 3) and (B, M, 4), float64.
+        position, orientation: (M, 3) and (M, 4), or (B, M, 3) and (B, M, 4), float64; of `motion` those of its start.
+        motion: as given, or None.
+        moves: (M,) bool: whether the obstacle moves.
         margin: (M,) float64.
+        names: (M) as given.
         environments: B, or None if the obstacles are the same in all environments.
 
     Raises:
@@ -36,7 +49,8 @@ class Obstacles:
             `certify`: they say nothing about others.
 
     Example:
-        >>> table = pgccd.robots.Obstacles([pgccd.Mesh.box([1.0, 1.0, 0.1])], torch.tensor([[0.5, 0.0, -0.1]]))
+        >>> plate = pgccd.Mesh.box([1.0, 1.0, 0.1])
+        >>> table = pgccd.robots.Obstacles([plate], torch.tensor([[0.5, 0.0, -0.1]]), names=["table"])
     """
 
     def __init__(
@@ -47,6 +61,8 @@ class Obstacles:
         *,
         mesh_index: Tensor | Sequence[int] | None = None,
         margin: Tensor | Sequence[float] | float | None = None,
+        motion: Trajectory | None = None,
+        names: Sequence[str] | None = None,
     ) -> None:
         if isinstance(meshes, (Mesh, str)) or not isinstance(meshes, Sequence):
             raise TypeError(f"meshes: expected a list of meshes, got {arguments.describe(meshes)}")
@@ -61,6 +77,15 @@ class Obstacles:
         require_meshes(self.mesh_index, len(meshes))
         count = len(self.mesh_index)
         self.margin = margin_column(0.0 if margin is None else margin, count, cpu)
+        self.names = [f"obstacle {k}" for k in range(count)] if names is None else _names(names, count)
+        self.motion, self.moves = motion, torch.zeros(count, dtype=torch.bool)
+        #: (M,): how far points are from their exact places, at most, for rounding.
+        self._error = torch.zeros(count, dtype=torch.float64)
+        if motion is not None:
+            if position is not None or orientation is not None:
+                raise ValueError("motion: expected it without position and orientation, which it has")
+            self._prepare(motion, count)
+            position, orientation = self._segments[0][0], self._segments[2][0]
         upright = torch.tensor([1.0, 0.0, 0.0, 0.0], dtype=torch.float64)
         self.position = _poses(torch.zeros(count, 3) if position is None else position, "position", count, 3)
         self.orientation = _poses(
@@ -72,6 +97,27 @@ class Obstacles:
         self.environments = batches.pop() if batches else None
         if self.environments is None and not bool(self._is_sound(1)[0]):
             raise ValueError("position, orientation: expected finite numbers and unit quaternions (w, x, y, z)")
+
+    def _prepare(self, motion: Trajectory, count: int) -> None:
+        """The columns of moving obstacles, by segment."""
+        arguments.instance(motion, "motion", Trajectory)
+        if motion.orientation is None or motion.path != "rigid" or motion.margin is not None:
+            raise ValueError("motion: expected rigid bodies on rigid paths, without margins")
+        if motion.position.shape[1] != count:
+            raise ValueError(f"motion: expected {count} bodies, one of each obstacle, got {motion.position.shape[1]}")
+        motion._refuse_gradient()
+        steps = motion.to("cpu").steps()
+        assert isinstance(steps, RigidMotion)
+        columns = (steps.position_t0, steps.position_t1, steps.orientation_t0, steps.rotation)
+        # By segment both positions, the orientation at the first one, and the rotation: (T - 1, M, ...).
+        self._segments = [column.clone().view(motion.segment_count, count, -1) for column in columns]
+        begin, end, turned, rotation = self._segments
+        still = (begin == end).all(dim=-1) & (begin == begin[0]).all(dim=-1)
+        still &= (rotation == 0.0).all(dim=-1) & (turned == turned[0]).all(dim=-1)
+        self.moves = ~still.all(dim=0)
+        reach = torch.tensor([mesh.reach for mesh in self.meshes], dtype=torch.float64)[self.mesh_index]
+        size = torch.maximum(begin.abs(), end.abs()).sum(dim=-1).amax(dim=0)
+        self._error = _POSE_ERROR * (size + (1.0 + norm(rotation).amax(dim=0)) * reach)
 
     @property
     def count(self) -> int:
@@ -86,19 +132,47 @@ class Obstacles:
         turn = ((length - 1.0).abs() <= UNIT_TOLERANCE).all(dim=-1)
         return (at & turn).expand(environments)
 
-    def _added_to(self, position: Tensor, orientation: Tensor, environment: Tensor) -> tuple[Tensor, Tensor]:
-        """Poses (K, N, 3) and (K, N, 4) of a robot's bodies in K environments (K,), followed by those of the
-        obstacles.
+    def _added_to(
+        self, position: Tensor, orientation: Tensor, environment: Tensor, segment: Tensor, s: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Poses (K, N, 3) and (K, N, 4) of a robot's bodies, followed by those of the obstacles, in K environments (K,)
+        at times s (K,) of segments (K,).
         """
         both = []
-        for of_robot, own in ((position, self.position), (orientation, self.orientation)):
+        found = (self.position, self.orientation) if self.motion is None else self._at(segment, s)
+        for of_robot, own in zip((position, orientation), found, strict=True):
             own = own.to(of_robot.device)
-            rows = own[environment] if own.dim() == 3 else own.expand(len(of_robot), *own.shape)
-            both.append(torch.cat([of_robot, rows], dim=1))
+            if self.motion is None:
+                own = own[environment] if own.dim() == 3 else own.expand(len(of_robot), *own.shape)
+            both.append(torch.cat([of_robot, own], dim=1))
         return both[0], both[1]
 
+    def _at(self, segment: Tensor, s: Tensor) -> tuple[Tensor, Tensor]:
+        """(K, M, 3) and (K, M, 4): poses of moving obstacles."""
+        x0, x1, r0, rotation = (column.to(s.device)[segment].flatten(0, 1) for column in self._segments)
+        found = ops.poses_at(x0, x1, r0, rotation, s.repeat_interleave(self.count))
+        x, r = (column.view(len(s), self.count, -1) for column in found)
+        return x, r
+
+    def _rotation(self, segment: Tensor, length: Tensor) -> Tensor:
+        """(K, M, 3): rotation vectors of moving obstacles in parts of these lengths (K,) of segments (K,)."""
+        return self._segments[3].to(length.device)[segment] * length[:, None, None]
+
     def __repr__(self) -> str:
-        return f"Obstacles(count={self.count}, environments={self.environments})"
+        moving = "" if self.motion is None else f", moving={int(self.moves.sum())}"
+        return f"Obstacles(count={self.count}, environments={self.environments}{moving})"
+
+
+def _names(names: Sequence[str], count: int) -> list[str]:
+    if isinstance(names, str) or not isinstance(names, Sequence):
+        raise TypeError(f"names: expected a list of names, got {arguments.describe(names)}")
+    for index, name in enumerate(names):
+        arguments.instance(name, f"names[{index}]", str)
+        if not name or name in names[:index]:
+            raise ValueError(f"names[{index}]: expected a name that no obstacle before it has, got {name!r}")
+    if len(names) != count:
+        raise ValueError(f"names: expected {count}, one of each obstacle, got {len(names)}")
+    return list(names)
 
 
 def _poses(values: Tensor, name: str, count: int, width: int) -> Tensor:

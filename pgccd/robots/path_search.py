@@ -47,7 +47,9 @@ def certify(
     with it are split: until they clear, or a pair is certainly within `resolution` of each other. See
     docs/explanation/exactness.md, section 14.
 
-    Links that no joint moves are not tested against obstacles: a base may stand on a table. A link wholly inside an
+    Obstacles may move: in each segment on the arc between two waypoints of their own (`Obstacles.motion`). They are not
+    tested against each other. Links that no joint moves are not tested against obstacles at rest: a base may stand on a
+    table. A link wholly inside an
     obstacle does not touch its surface; see `pgccd.enclosed`. Limits of joints are not checked.
 
     Args:
@@ -79,6 +81,11 @@ class _Steps:
     segment: Tensor
     begin: Tensor
     end: Tensor
+
+    @classmethod
+    def at(cls, environment: Tensor, segment: Tensor, s: Tensor) -> _Steps:
+        """Without a length, at times s (K,) of segments."""
+        return cls(environment, segment, s, s)
 
     def __len__(self) -> int:
         return len(self.environment)
@@ -171,9 +178,14 @@ class PathSearch:
         given = None if obstacles is None else obstacles.environments
         if given not in (None, len(q)):
             raise ValueError(f"q: expected {given} environments, as the obstacles have, got {len(q)}")
+        motion = None if obstacles is None else obstacles.motion
+        if motion is not None and motion.segment_count != q.shape[1] - 1:
+            raise ValueError(
+                f"q: expected {motion.segment_count + 1} waypoints, as the obstacles have, got {q.shape[1]}"
+            )
         self._steps = self._searches = 0
         scene = self._scene if self._scene.device == q.device else self._scene.to(q.device)
-        found = Certificate._without_contact(len(q), robot, q.device)
+        found = Certificate._without_contact(len(q), robot, obstacles, q.device)
         valid = (robot._magnitudes(q) <= LARGEST_VALUE).flatten(1).all(dim=1) & ~robot._may_leave(q).any(dim=1)
         valid &= (self._turns(q[:, 1:] - q[:, :-1]) <= LONGEST_TURN).all(dim=1)
         if obstacles is not None:
@@ -203,7 +215,8 @@ class PathSearch:
         """Marks the paths, of these environments, that start with a contact; returns them."""
         if not len(rows):
             return rows
-        met = self._at_rest(scene, q[rows, 0], rows)
+        zero = torch.zeros_like(rows)
+        met = self._at_rest(scene, q[rows, 0], _Steps.at(rows, zero, zero.to(torch.float64)))
         touches = met.toi < torch.inf
         rows = rows[touches]
         found.verdict[rows] = int(Verdict.START)
@@ -274,34 +287,33 @@ class PathSearch:
         s = torch.cat([s, torch.ones_like(s[:, :1])], dim=1)
         segment = segment[:, None].expand_as(s).clone()
         segment[:, -1] = (segment[:, -1] + 1).clamp(max=q.shape[1] - 2)
-        met = self._at_rest(scene, _between(q, environment, segment.reshape(-1), s.reshape(-1)), environment)
+        when = _Steps.at(environment, segment.reshape(-1), s.reshape(-1))
+        met = self._at_rest(scene, _between(q, environment, when.segment, when.begin), when)
         touches = (met.toi < torch.inf).view(len(rows), -1).any(dim=1)
         found.verdict[rows[touches]] = int(Verdict.COLLISION)
 
-    def _at_rest(self, scene: Scene, q: Tensor, environment: Tensor) -> _Met:
-        """The contacts in K configurations (K, J), with no tolerance."""
+    def _at_rest(self, scene: Scene, q: Tensor, when: _Steps) -> _Met:
+        """The contacts in K configurations (K, J), with no tolerance, and obstacles where they are then."""
         zero = torch.zeros(len(q), dtype=torch.int64, device=q.device)
         row = torch.arange(len(q), device=q.device)
         still = _Steps(row, zero, torch.zeros_like(q[:, 0]), torch.zeros_like(q[:, 0]))
-        return self._met(scene, q[:, None].expand(-1, 2, -1), still, 0.0, environment)
+        return self._met(scene, q[:, None].expand(-1, 2, -1), still, 0.0, when)
 
-    def _met(self, scene: Scene, q: Tensor, steps: _Steps, tolerance: float, environment: Tensor | None = None) -> _Met:
-        """The first contact of each step; `environment`: of the obstacles, for configurations at rest."""
+    def _met(self, scene: Scene, q: Tensor, steps: _Steps, tolerance: float, when: _Steps | None = None) -> _Met:
+        """The first contact of each step; `when`: the times of the obstacles, for configurations at rest."""
         self._steps += len(steps)
         at_once = max(1, _BODIES_AT_ONCE // scene.body_count)
         parts = []
         for begin in range(0, len(steps), at_once):
             some = steps[slice(begin, begin + at_once)]
-            own = some.environment if environment is None else environment[begin : begin + at_once]
-            parts.append(self._met_at_once(scene, q, some, own, tolerance, environment is not None))
+            own = some if when is None else when[slice(begin, begin + at_once)]
+            parts.append(self._met_at_once(scene, q, some, own, tolerance, when is not None))
         if len(parts) == 1:
             return parts[0]
         return _Met(*(torch.cat(columns) for columns in zip(*(vars(part).values() for part in parts), strict=True)))
 
-    def _met_at_once(
-        self, scene: Scene, q: Tensor, steps: _Steps, environment: Tensor, tolerance: float, rests: bool
-    ) -> _Met:
-        robot, count, bodies = self.robot, len(steps), scene.body_count
+    def _met_at_once(self, scene: Scene, q: Tensor, steps: _Steps, when: _Steps, tolerance: float, rests: bool) -> _Met:
+        robot, obstacles, count, bodies = self.robot, self.obstacles, len(steps), scene.body_count
         q0, q1 = (_between(q, steps.environment, steps.segment, s) for s in (steps.begin, steps.end))
         if rests:
             start = end = robot._tree.forward(q0)
@@ -310,14 +322,20 @@ class PathSearch:
         # Configurations between waypoints are rounded in units of the waypoints, even near zero.
         way = (q[steps.environment, steps.segment + k].abs() for k in (0, 1))
         stray = robot._stray(start, None if rests else end, torch.maximum(*way))
-        stray = torch.cat([stray, stray.new_zeros(count, bodies - robot.body_count)], dim=1).reshape(-1)
+        of_obstacles = stray.new_zeros(0) if obstacles is None else obstacles._error.to(q.device)
+        stray = torch.cat([stray, of_obstacles.expand(count, -1)], dim=1).reshape(-1)
         poses = []
-        for of_frames in (start, end):
+        for of_frames, s in ((start, when.begin), (end, when.end)):
             x, r = robot._of_bodies(of_frames)
-            if self.obstacles is not None:
-                x, r = self.obstacles._added_to(x, r, environment)
+            if obstacles is not None:
+                x, r = obstacles._added_to(x, r, when.environment, when.segment, s)
             poses += [x.reshape(-1, 3), r.reshape(-1, 4)]
         motion = RigidMotion.at_rest(*poses[:2]) if rests else RigidMotion(poses[0], poses[1], poses[2], poses[3])
+        if obstacles is not None and obstacles.motion is not None and not rests:
+            # That of the part, not the shorter way between both ends.
+            of_robot = motion.rotation.view(count, bodies, 3)[:, : robot.body_count]
+            rotation = torch.cat([of_robot, obstacles._rotation(when.segment, when.end - when.begin)], dim=1)
+            motion = RigidMotion.from_rotation(poses[0], poses[1], poses[2], rotation.reshape(-1, 3))
         many = copy.copy(self._copied(scene, count))
         assert many.margin is not None
         above = torch.nextafter(many.margin + stray, torch.full_like(stray, torch.inf))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import math
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,10 +20,12 @@ from pgccd.geometry.scene import Scene
 from pgccd.motion.of_scene import repeated
 from pgccd.motion.paths import RigidMotion
 from pgccd.motion.trajectory import Trajectory
+from pgccd.robots.attached import Attached
 from pgccd.robots.kinematics import Joint, Poses, Tree
 from pgccd.robots.obstacles import Obstacles
 from pgccd.robots.shapes import PLANE, ThickSurface, joined
 from pgccd.robots.stray import LONGEST_TURN, MOST_TURN, Chains, pose_error, stray_bound, turns
+from pgccd.robots.untested import LeftOut, WhyUntested, sorted_pairs
 from pgccd.search.detect import collide
 
 if TYPE_CHECKING:
@@ -32,8 +34,8 @@ if TYPE_CHECKING:
 
 #: Larger values of joints, radians or length units, have no poses.
 LARGEST_VALUE = 1e6
-#: The reason why surfaces of links i and j, of the groups that the reader gave them, are never tested, or None.
-WhyUntested = Callable[[int, tuple[int, ...], int, tuple[int, ...]], str | None]
+#: Name, frame and surfaces, in the frame, of a link.
+Link = tuple[str, int, Sequence[ThickSurface]]
 # Configurations tested in one call.
 _SAMPLES_AT_ONCE = 2000
 
@@ -44,14 +46,16 @@ class Robot:
 
     A link is one body, whose mesh has its origin at the link's joint; one with spheres or capsules of several radii is
     one body a radius, since the radius is the body's margin. Links without collision surfaces have no body. Infinite
-    planes are bodies of their own: squares that no part of the robot can leave within the limits.
+    planes are bodies of their own: squares that no part of the robot can leave within the limits. An object that the
+    robot carries (`attach`) is a link too, the last one, with its mesh's origin.
 
     Attributes:
         name: of the robot, as in the file.
         joint_names: (J) the names of the joints that a configuration has a value for, in its order. Joints that mimic
             another have none.
         lower, upper: (J,) float64 limits, radians or length units; infinite where there are none.
-        link_names: names of all links.
+        link_names: names of all links, attached objects included.
+        attached: names of the attached objects.
         body_link: (N,) int64: the link of each body.
         meshes: (N) `Mesh` of each body.
         margin: (N,) float64, thickness of each body.
@@ -59,8 +63,9 @@ class Robot:
         exclude: (E, 2) int64: pairs of bodies that are never tested.
         untested: why: the names of two links, and a reason, of each pair of links whose bodies are never tested against
             each other: "both fixed" (no joint moves them), "adjacent" (joined; see the reader of the file), "file" (the
-            file excludes the pair), "sampled" (`excluding_sampled`), "asked" (`excluding`). Where that holds for some
-            of the bodies only, the reason ends in ", in part".
+            file excludes the pair), "sampled" (`excluding_sampled`), "attached" (an object and the link that carries
+            it), "touching" (an object and a link that it was attached as touching), "allowed" (`allow`). Where that
+            holds for some of the bodies only, the reason ends in ", in part". Also a link and an obstacle: "allowed".
         reach: length: no point of the robot is further from its base, in any configuration within the limits; of
             prismatic joints without limits within 1 length unit of 0. Without infinite planes.
 
@@ -75,10 +80,11 @@ class Robot:
         self,
         name: str,
         tree: Tree,
-        links: Sequence[tuple[str, int, Sequence[ThickSurface]]],
+        links: Sequence[Link],
         joint_names: Sequence[str],
         limits: Sequence[tuple[float, float]],
         why_untested: WhyUntested,
+        attached: Sequence[Attached] = (),
     ) -> None:
         """
         Args:
@@ -86,11 +92,20 @@ class Robot:
             links: name, frame and surfaces, in the frame, of each.
             joint_names, limits: of each entry of a configuration.
             why_untested: the reason why surfaces of two links are never tested, or None; of links that joints move.
+            attached: objects, of which those that carry others come first.
         """
         self.name, self.joint_names = name, list(joint_names)
         self.lower, self.upper = torch.tensor(limits, dtype=torch.float64).reshape(-1, 2).unbind(1)
+        self._of_file, self._attached = (tree, links, why_untested), list(attached)
+        self.attached = [each.name for each in attached]
+        for each in attached:
+            frame = next(frame for link, frame, _ in links if link == each.link)
+            tree = Tree([*tree.joints, each.joint(frame)])
+            links = [*links, (each.name, len(tree.joints) - 1, [each.surface])]
         self.link_names = [link for link, _, _ in links]
-        self._tree = tree
+        if len(set(self.link_names)) < len(links):  # they are told apart by their names
+            raise ValueError(f"links have equal names: {sorted(self.link_names)}")
+        self._tree, self._links = tree, links
         lengths = {frame: self._length(tree.chains[frame]) for _, frame, _ in links}
         all_surfaces = [(lengths[frame], surface) for _, frame, surfaces in links for surface in surfaces]
         self.reach = max((length + each.reach for length, each in all_surfaces if not each.infinite), default=PLANE)
@@ -106,7 +121,7 @@ class Robot:
                 alike = [each for each in surfaces if (each.infinite, each.thickness, each.group) == kind]
                 surface = joined([each.widened(half) if each.infinite else each for each in alike])
                 try:
-                    mesh = Mesh(surface.vertices, surface.faces, solid="auto")
+                    mesh = Mesh(surface.vertices, surface.faces, solid=surface.solid)
                 except ValueError as error:
                     raise ValueError(f"link {link!r}: {error}") from error
                 mesh.name = link
@@ -125,12 +140,9 @@ class Robot:
         self._chains: dict[torch.device, Chains] = {}
         chains = [tree.chains[frame] for frame in frames]
         self.moves = torch.tensor([any(tree.joints[k].kind != "fixed" for k in chain) for chain in chains])
-        moves = self.moves.tolist()
-        self._why_untested: dict[tuple[int, int], str] = {}
-        for i, j in combinations(range(len(meshes)), 2):
-            reason = why_untested(owners[i], groups[i], owners[j], groups[j]) if moves[i] or moves[j] else "both fixed"
-            if owners[i] == owners[j] or reason is not None:
-                self._why_untested[i, j] = reason or ""
+        self._groups = groups
+        self._left_out = LeftOut()
+        self._why_untested = self._reasons()
 
     @property
     def joint_count(self) -> int:
@@ -160,9 +172,24 @@ class Robot:
                 slides = slides + (joint.scale * q[..., joint.coordinate] + joint.offset).abs()
         return slides > self._room
 
+    def _reasons(self) -> dict[tuple[int, int], str]:
+        """By pair of bodies (i, j), i < j, the reason why it is never tested; "" for those of one link."""
+        of_file, links_of_file = self._of_file[2], len(self._of_file[1])
+        owner, moves, found = self.body_link.tolist(), self.moves.tolist(), {}
+        for i, j in combinations(range(self.body_count), 2):
+            a, b = owner[i], owner[j]
+            reason = self._left_out.links.get(frozenset((self.link_names[a], self.link_names[b])))
+            if not (moves[i] or moves[j]):
+                reason = "both fixed"
+            elif b < links_of_file:  # the file says nothing of attached objects
+                reason = of_file(a, self._groups[i], b, self._groups[j]) or reason
+            if a == b or reason is not None:
+                found[i, j] = reason or ""
+        return found
+
     @property
     def exclude(self) -> Tensor:
-        return torch.tensor(sorted(self._why_untested), dtype=torch.int64).reshape(-1, 2)
+        return sorted_pairs(self._why_untested)
 
     @property
     def untested(self) -> list[tuple[str, str, str]]:
@@ -176,41 +203,116 @@ class Robot:
             said = sorted(reason for reason in why if reason is not None)
             if said:
                 found.append((self.link_names[a], self.link_names[b], said[0] + (", in part" if None in why else "")))
-        return found
+        return found + [(link, obstacle, "allowed") for link, obstacle in self._left_out.with_obstacles]
 
-    def excluding(self, links: Iterable[tuple[str, str]]) -> Robot:
-        """A robot of which these pairs of links are not tested either.
+    def attach(
+        self,
+        link: str,
+        mesh: Mesh,
+        pose: tuple[Tensor | Sequence[float], Tensor | Sequence[float]],
+        touching: Iterable[str] = (),
+        *,
+        name: str | None = None,
+        margin: float = 0.0,
+    ) -> Robot:
+        """A robot that carries an object, rigidly on one of its links.
+
+        The object is a link of its own, the last one, with one body. It is tested against all obstacles and against all
+        links but the one that carries it and those in `touching`, neighbours of these links included; `untested` lists
+        what is left out. Where it lies on a table, the pair is one for `allow`.
 
         Args:
-            links: pairs of names.
+            link: the name of the link, one that joints move; or of an attached object.
+            mesh: the object; as a solid if it is watertight and faces outwards.
+            pose: position (3,) and orientation (4,), a unit quaternion (w, x, y, z), of the mesh's origin in the link's
+                frame, length units. The frame is that of the link in a URDF file; of an MJCF file that of the MuJoCo
+                body, moved to the body's last joint, as in `poses`.
+            touching: names of links and attached objects that the object may touch, such as the fingers.
+            name: of the object. Default: that of the mesh, else "attached".
+            margin: thickness of the object, a length >= 0.
 
         Raises:
-            TypeError, ValueError: these are no pairs of names, or a link is unknown.
+            TypeError, ValueError: naming the argument: a link is unknown, `link` does not move, or the name is taken.
 
         Example:
-            >>> gripper = robot.excluding([("base", "tool")])
+            >>> block = pgccd.Mesh.box([0.05, 0.05, 0.05])
+            >>> carrying = robot.attach("upper", block, ([0.6, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]), name="block")
+            >>> carrying.untested[-1]
+            ('upper', 'block', 'attached')
         """
-        expected = "links: expected pairs of names, such as [('base', 'tool')]"
-        if not isinstance(links, Iterable):
-            raise TypeError(f"{expected}, got {arguments.describe(links)}")
-        given = list(links)
-        for pair in given:
-            if isinstance(pair, str) or not isinstance(pair, Sequence) or len(pair) != 2:
-                raise TypeError(f"{expected}, got {given!r}")
-        return self._excluding([(self._link(a), self._link(b)) for a, b in given], "asked")
+        number = self._link(link, "link")
+        if all(self._tree.joints[k].kind == "fixed" for k in self._tree.chains[self._links[number][1]]):
+            raise ValueError(f"link: expected one that joints move, got {link!r}: what is fixed is an obstacle")
+        if isinstance(touching, str) or not isinstance(touching, Iterable):
+            raise TypeError(f"touching: expected a list of names of links, got {arguments.describe(touching)}")
+        touched = [self.link_names[self._link(each, "touching")] for each in touching]
+        if name is None:
+            name = (mesh.name if isinstance(mesh, Mesh) else None) or "attached"
+        arguments.instance(name, "name", str)
+        if not name or name in self.link_names:
+            raise ValueError(f"name: expected a name that no link has, got {name!r}")
+        reasons = {frozenset((each, name)): "touching" for each in touched} | {frozenset((link, name)): "attached"}
+        objects = [*self._attached, Attached.of(name, link, mesh, pose, margin)]
+        return self._carrying(objects, self._left_out + LeftOut(reasons))
 
-    def _excluding(self, links: Iterable[tuple[int, int]], reason: str) -> Robot:
-        left_out = {frozenset(pair) for pair in links}
-        owner = self.body_link.tolist()
-        pairs = combinations(range(self.body_count), 2)
-        added = {(i, j): reason for i, j in pairs if frozenset((owner[i], owner[j])) in left_out}
+    def detach(self, name: str) -> Robot:
+        """A robot without this attached object. Pairs with it that were not tested are forgotten.
+
+        Args:
+            name: of the object.
+
+        Raises:
+            ValueError: there is no such attached object, or it carries another one.
+
+        Example:
+            >>> block = pgccd.Mesh.box([0.05, 0.05, 0.05])
+            >>> carrying = robot.attach("upper", block, ([0.6, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]), name="block")
+            >>> carrying.detach("block").link_names == robot.link_names
+            True
+        """
+        if name not in self.attached:
+            raise ValueError(f"name: expected an attached object, one of {self.attached}, got {name!r}")
+        others = [each for each in self._attached if each.name != name]
+        if carried := [each.name for each in others if each.link == name]:
+            raise ValueError(f"name: {name!r} carries {carried}: detach these first")
+        return self._carrying(others, self._left_out.without(name))
+
+    def _carrying(self, objects: Sequence[Attached], left_out: LeftOut) -> Robot:
+        """The robot of the file with these objects, of which these pairs are not tested."""
+        tree, links, why_untested = self._of_file
+        limits = list(zip(self.lower.tolist(), self.upper.tolist(), strict=True))
+        other = Robot(self.name, tree, links, self.joint_names, limits, why_untested, objects)
+        return other._leaving_out(left_out)
+
+    def allow(self, pairs: Iterable[tuple[str, str]]) -> Robot:
+        """A robot of which these pairs are not tested either, such as an attached object and the table that it is
+        lifted from. `untested` lists them.
+
+        Args:
+            pairs: of names: of two links, attached objects included, or of a link and an obstacle. What is no link is
+                an obstacle: the robot is then used with obstacles of which one has that name, and an error says so if
+                none has.
+
+        Raises:
+            TypeError, ValueError: these are no pairs of two different names, or neither is that of a link.
+
+        Example:
+            >>> lifting = robot.allow([("upper", "table")])
+            >>> lifting.untested[-1]
+            ('upper', 'table', 'allowed')
+        """
+        return self._leaving_out(LeftOut.allowed(pairs, self.link_names))
+
+    def _leaving_out(self, pairs: LeftOut) -> Robot:
+        """A robot of which these pairs are not tested either."""
         other = copy.copy(self)
-        other._why_untested = added | self._why_untested
+        other._left_out = self._left_out + pairs
+        other._why_untested = other._reasons()
         return other
 
-    def _link(self, name: str) -> int:
+    def _link(self, name: str, argument: str) -> int:
         if name not in self.link_names:
-            raise ValueError(f"links: expected names of links, such as {self.link_names[0]!r}, got {name!r}")
+            raise ValueError(f"{argument}: expected names of links, such as {self.link_names[0]!r}, got {name!r}")
         return self.link_names.index(name)
 
     def excluding_sampled(self, samples: int = 1000, share: float = 0.95, seed: int = 0) -> Robot:
@@ -238,7 +340,7 @@ class Robot:
         owner, count = self.body_link, len(self.link_names)
         times = torch.zeros(count * count, dtype=torch.int64)
         for some in q.split(_SAMPLES_AT_ONCE):
-            many = repeated(self.scene(), len(some))
+            many = repeated(self._scene(None), len(some))
             x, r = self.poses(some)
             at_rest = RigidMotion.at_rest(x.flatten(0, 1), r.flatten(0, 1))
             pairs = collide(many, at_rest).pairs
@@ -248,7 +350,8 @@ class Robot:
             once = torch.unique((sample * count + of_links[:, 0]) * count + of_links[:, 1])
             times += torch.bincount(once % (count * count), minlength=count * count)
         always = torch.nonzero(times >= share * samples).flatten().tolist()
-        return self._excluding([(key // count, key % count) for key in always], "sampled")
+        names = [(self.link_names[key // count], self.link_names[key % count]) for key in always]
+        return self._leaving_out(LeftOut({frozenset(pair): "sampled" for pair in names}))
 
     def _sampling_limits(self) -> tuple[Tensor, Tensor]:
         low, high = self.lower.clone(), self.upper.clone()
@@ -307,14 +410,15 @@ class Robot:
         return torch.cat(columns, dim=-1)
 
     def scene(self, obstacles: Obstacles | None = None) -> Scene:
-        """The robot's bodies, then those of the obstacles, which do not move. Bodies that do not move are not tested
-        against each other.
+        """The robot's bodies, then those of the obstacles. Bodies that do not move are not tested against each other;
+        nor are obstacles.
 
         Args:
             obstacles: the obstacles, if any.
 
         Raises:
             TypeError: they are something else.
+            ValueError: none has the name of one that `allow` leaves out, or one has the name of a link.
 
         Example:
             >>> scene = robot.scene(obstacles)
@@ -322,16 +426,30 @@ class Robot:
         """
         if obstacles is not None and not isinstance(obstacles, Obstacles):
             raise TypeError(f"obstacles: expected pgccd.robots.Obstacles, got {arguments.describe(obstacles)}")
+        self._left_out.check_obstacles([] if obstacles is None else obstacles.names, self.link_names)
+        return self._scene(obstacles)
+
+    def _scene(self, obstacles: Obstacles | None) -> Scene:
+        """As `scene`, of obstacles with names as they should be, or none at all."""
+        exclude = set(self._why_untested)
         meshes, margin, static = list(self.meshes), self.margin, ~self.moves
         if obstacles is not None:
             first = len(meshes)
             meshes += obstacles.meshes
             index = torch.cat([torch.arange(first), first + obstacles.mesh_index])
             margin = torch.cat([margin, obstacles.margin])
-            static = torch.cat([static, torch.ones(obstacles.count, dtype=torch.bool)])
+            static = torch.cat([static, ~obstacles.moves])
+            for link, name in self._left_out.with_obstacles:
+                other = self.body_count + obstacles.names.index(name)
+                exclude |= {(k, other) for k, own in enumerate(self.body_link.tolist()) if self.link_names[own] == link}
         else:
             index = torch.arange(len(meshes))
-        return Scene(meshes, index, static=static, margin=margin, exclude=self.exclude)
+        scene = Scene(meshes, index, static=static, margin=margin, exclude=sorted_pairs(exclude))
+        if obstacles is not None and bool(obstacles.moves.any()):
+            # Obstacles are not tested against each other.
+            is_robot = (torch.arange(len(index)) < self.body_count).long()
+            scene.group, scene.mask = 2 - is_robot, 1 + 2 * is_robot
+        return scene
 
     def trajectory(self, q: Tensor, obstacles: Obstacles | None = None) -> Trajectory:
         """The path through configurations, for `pgccd.detect` with `scene`: with margins within which links stray from
@@ -384,10 +502,10 @@ class Robot:
         margin = self._stray(before, after, size.repeat_interleave(parts, dim=0))
         x, r = self._of_bodies(poses)
         if obstacles is not None:
-            if obstacles.environments is not None:
-                expected = "obstacles with one pose each"
-                raise ValueError(f"obstacles: expected {expected}, got {obstacles.environments} environments")
-            x, r = obstacles._added_to(x, r, torch.zeros(len(q), dtype=torch.int64))
+            if obstacles.environments is not None or obstacles.motion is not None:
+                raise ValueError(f"obstacles: expected obstacles with one pose each, got {obstacles}")
+            zero = torch.zeros(len(q), dtype=torch.int64)
+            x, r = obstacles._added_to(x, r, zero, zero, zero)
             margin = torch.cat([margin, margin.new_zeros(len(margin), obstacles.count)], dim=1)
         return Trajectory(x, r, margin=margin)
 
@@ -448,7 +566,8 @@ class Robot:
 
     def __repr__(self) -> str:
         counts = f"joints={self.joint_count}, links={len(self.link_names)}, bodies={self.body_count}"
-        return f"Robot({self.name!r}, {counts}, untested pairs={len(self.untested)})"
+        attached = f", attached={self.attached}" if self.attached else ""
+        return f"Robot({self.name!r}, {counts}{attached}, untested pairs={len(self.untested)})"
 
 
 def robot_of_file(path: Path, neutral: Sequence[float], *parts: Any) -> Robot:
@@ -471,7 +590,7 @@ def robot_of_file(path: Path, neutral: Sequence[float], *parts: Any) -> Robot:
         pairs = [(robot.link_names[a], robot.link_names[b]) for a, b in links]
         warnings.warn(
             f"{path}: links touch in the neutral configuration, so that no path through it is free. If their surfaces "
-            f"overlap by design: robot = robot.excluding({pairs})",
+            f"overlap by design: robot = robot.allow({pairs})",
             stacklevel=3,
         )
     return robot

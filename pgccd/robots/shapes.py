@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pgccd.geometry import shapes
+from pgccd.geometry.solids import Solid
 from pgccd.robots.kinematics import turned
 
 # Corners of the polygon around a cylinder, and divisions of an icosahedron around an ellipsoid.
@@ -27,6 +28,7 @@ class ThickSurface:
         thickness: length.
         infinite: whether it is a square in place of an infinite plane, which is to be `widened`.
         group: surfaces of a link with different groups are different bodies.
+        solid: whether the inside belongs to the body, as for `pgccd.Mesh`.
     """
 
     vertices: np.ndarray
@@ -34,6 +36,7 @@ class ThickSurface:
     thickness: float = 0.0
     infinite: bool = False
     group: tuple[int, ...] = ()
+    solid: Solid = "auto"
 
     def placed(self, position: np.ndarray, orientation: np.ndarray) -> ThickSurface:
         """At a position (3,), turned by a unit quaternion (4,)."""

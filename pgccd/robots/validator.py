@@ -30,6 +30,10 @@ class MotionValidator:
         if isinstance(obstacles, Obstacles) and obstacles.environments not in (None, 1):
             expected = "obstacles of one environment, with poses (M, 3) and (M, 4)"
             raise ValueError(f"obstacles: expected {expected}, got those of {obstacles.environments}")
+        if isinstance(obstacles, Obstacles) and obstacles.motion is not None:
+            raise ValueError(
+                "obstacles: expected obstacles at rest: a motion alone does not say at which time it begins"
+            )
         self._joint_count = robot.joint_count
         self._search = PathSearch(robot, obstacles, resolution)
 

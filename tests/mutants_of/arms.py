@@ -12,6 +12,12 @@ MJCF = "pgccd/robots/mjcf.py"
 URDF = "pgccd/robots/urdf.py"
 ON_UNTESTED = ("robots/test_untested.py",)
 ON_SEARCH = ("robots/test_path_search.py",)
+ROBOT = "pgccd/robots/robot.py"
+ATTACHED = "pgccd/robots/attached.py"
+UNTESTED = "pgccd/robots/untested.py"
+OBSTACLES = "pgccd/robots/obstacles.py"
+ON_ATTACHED = ("robots/test_attached.py",)
+ON_MOVING = ("robots/test_moving_obstacles.py",)
 NOT_ATTAINED = "a term of higher order in the turn, of which no chain is known that attains it"
 
 
@@ -225,6 +231,97 @@ MUTANTS = [
         "(own > segment) | ((own == segment) & (at > toi))",
         "own + at > segment + toi",
         ON_SEARCH,
+        switched=False,
+    ),
+    Mutant(
+        "attached-of-carrier-tested", ROBOT, ' | {frozenset((link, name)): "attached"}', "", ON_ATTACHED, switched=False
+    ),
+    Mutant(
+        "attached-touching-tested",
+        ROBOT,
+        '{frozenset((each, name)): "touching" for each in touched} | ',
+        "",
+        ON_ATTACHED,
+        switched=False,
+    ),
+    Mutant(
+        "attached-forgets-pairs",
+        ROBOT,
+        "self._left_out + LeftOut(reasons)",
+        "LeftOut(reasons)",
+        ON_ATTACHED,
+        switched=False,
+    ),
+    Mutant(
+        "attached-upright",
+        ATTACHED,
+        "frame, self.position, self.orientation",
+        "frame, self.position, np.array([1.0, 0.0, 0.0, 0.0])",
+        ON_ATTACHED,
+        switched=False,
+    ),
+    Mutant(
+        "attached-no-solid",
+        ATTACHED,
+        'solid=True if mesh.solid else "auto"',
+        "solid=False",
+        ON_ATTACHED,
+        switched=False,
+    ),
+    Mutant(
+        "detached-keeps-pairs", ROBOT, "self._left_out.without(name))", "self._left_out)", ON_ATTACHED, switched=False
+    ),
+    Mutant("allowed-of-all-links", ROBOT, " if self.link_names[own] == link}", "}", ON_ATTACHED, switched=False),
+    Mutant("allowed-first-obstacle", ROBOT, "obstacles.names.index(name)", "0", ON_ATTACHED, switched=False),
+    Mutant("allowed-unknown", UNTESTED, "if name not in names:", "if False:", ON_ATTACHED, switched=False),
+    Mutant("moving-whole-rotation", OBSTACLES, " * length[:, None, None]", "", ON_MOVING, switched=False),
+    Mutant(
+        "moving-shorter-way",
+        SEARCH,
+        "            motion = RigidMotion.from_rotation(poses[0]",
+        "            RigidMotion.from_rotation(poses[0]",
+        ON_MOVING,
+        switched=False,
+    ),
+    Mutant("moving-ends-early", SEARCH, "(end, when.end)", "(end, when.begin)", ON_MOVING, switched=False),
+    Mutant(
+        "moving-no-rounding",
+        SEARCH,
+        "obstacles._error.to(q.device)",
+        "0 * obstacles._error.to(q.device)",
+        ON_MOVING,
+        switched=False,
+    ),
+    Mutant(
+        "moving-rounding-of-turns",
+        OBSTACLES,
+        "(1.0 + norm(rotation).amax(dim=0)) * reach",
+        "reach",
+        ON_MOVING,
+        switched=False,
+    ),
+    Mutant(
+        "moving-not-fixed-links",
+        ROBOT,
+        "~obstacles.moves]",
+        "torch.ones(obstacles.count, dtype=torch.bool)]",
+        ON_MOVING,
+        switched=False,
+    ),
+    Mutant(
+        "moving-not-own-links",
+        ROBOT,
+        "2 - is_robot, 1 + 2 * is_robot",
+        "2 - is_robot, 1 + is_robot",
+        ON_MOVING,
+        switched=False,
+    ),
+    Mutant(
+        "moving-each-other",
+        ROBOT,
+        "2 - is_robot, 1 + 2 * is_robot",
+        "is_robot * 0 + 1, is_robot * 0 + 1",
+        ON_MOVING,
         switched=False,
     ),
 ]

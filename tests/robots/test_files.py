@@ -132,13 +132,15 @@ def test_joined_links_are_not_tested(tmp_path: Path) -> None:
     names = [robot.link_names[k] for k in robot.body_link.tolist()]
     assert names == ["link0", "link2", "link3", "link4"]
     assert robot.exclude.tolist() == [[0, 1], [0, 2], [1, 2], [1, 3], [2, 3]]
-    other = robot.excluding([("link4", "link0")])
+    other = robot.allow([("link4", "link0")])
     assert other.exclude.tolist() == [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]] and len(robot.exclude) == 5
-    with pytest.raises(ValueError, match="^links: expected names of links, such as 'base', got 'hand'"):
-        robot.excluding([("hand", "link0")])
-    for links in (("link0", "link2"), [("link0",)], [["link0", "link2", "link3"]], [0, 1], 5, None):
-        with pytest.raises(TypeError, match="^links: expected pairs of names, such as .*, got "):
-            robot.excluding(links)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="^pairs: expected a name of a link, such as 'base', in .'hand', 'tool'.$"):
+        robot.allow([("hand", "tool")])
+    with pytest.raises(ValueError, match="^pairs: expected two different names, got .'link0', 'link0'.$"):
+        robot.allow([("link0", "link0")])
+    for pairs in ("link0", ("link0", "link2"), [("link0",)], [["link0", "link2", "link3"]], [0, 1], [(0, 1)], 5, None):
+        with pytest.raises(TypeError, match="^pairs: expected pairs of names, such as .*, got "):
+            robot.allow(pairs)  # type: ignore[arg-type]
 
 
 def test_files_exclude_pairs(tmp_path: Path) -> None:

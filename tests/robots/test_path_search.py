@@ -349,7 +349,7 @@ def test_links_meet_each_other(tmp_path: Path) -> None:
     found = robot.certify(q)
     assert found.verdict.tolist() == [int(Verdict.COLLISION)]
     assert found.names(0) == ("link0", "link3") and found.steps > 5
-    assert bool(robot.excluding([found.names(0)]).certify(q).free[0])
+    assert bool(robot.allow([found.names(0)]).certify(q).free[0])
 
 
 def test_scene_and_trajectory_are_those_of_the_certificate(tmp_path: Path) -> None:

@@ -219,11 +219,11 @@ def test_what_touches_by_design_is_named(tmp_path: Path) -> None:
     pytest.importorskip("mujoco")
     path = tmp_path / "model.xml"
     path.write_text(mujoco_model)
-    with pytest.warns(UserWarning, match=r"robot = robot.excluding\(\[\('base', 'hand'\)\]\)"):
+    with pytest.warns(UserWarning, match=r"robot = robot.allow\(\[\('base', 'hand'\)\]\)"):
         robot = pgccd.robots.load_mjcf(path)
     assert robot.untested == [] and "untested pairs=0" in repr(robot)
-    again = robot.excluding([("base", "hand")])
-    assert again.untested == [("base", "hand", "asked")] and "untested pairs=1" in repr(again)
+    again = robot.allow([("base", "hand")])
+    assert again.untested == [("base", "hand", "allowed")] and "untested pairs=1" in repr(again)
     assert robot.untested == []
     found = again.certify(torch.tensor([[[0.0, 0.0], [0.1, 0.0]]]))
     assert bool(found.free[0]) and "sampled" not in repr(found)
