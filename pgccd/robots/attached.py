@@ -35,7 +35,7 @@ class Attached:
     surface: ThickSurface
 
     @classmethod
-    def of(cls, name: str, link: str, mesh: Mesh, pose: Any, margin: float) -> Attached:
+    def of(cls, name: str, link: str, mesh: Mesh, pose: Any) -> Attached:
         """From the arguments of `Robot.attach`.
 
         Raises:
@@ -53,7 +53,7 @@ class Attached:
         surface = ThickSurface(
             mesh.vertices.numpy(),
             mesh.faces.long().numpy(),
-            arguments.length(margin, "margin"),
+            mesh.thickness,
             solid=True if mesh.solid else "auto",
         )
         return cls(name, link, at.copy(), turn / length, surface)

@@ -79,7 +79,7 @@ class Obstacles:
         self.margin = margin_column(0.0 if margin is None else margin, count, cpu)
         self.names = [f"obstacle {k}" for k in range(count)] if names is None else _names(names, count)
         self.motion, self.moves = motion, torch.zeros(count, dtype=torch.bool)
-        #: (M,): how far points are from their exact places, at most, for rounding.
+        # (M,): how far points are from their exact places, at most, for rounding.
         self._error = torch.zeros(count, dtype=torch.float64)
         if motion is not None:
             if position is not None or orientation is not None:

@@ -45,9 +45,9 @@ class Robot:
     `load_urdf` and `load_mjcf`.
 
     A link is one body, whose mesh has its origin at the link's joint; one with spheres or capsules of several radii is
-    one body a radius, since the radius is the body's margin. Links without collision surfaces have no body. Infinite
-    planes are bodies of their own: squares that no part of the robot can leave within the limits. An object that the
-    robot carries (`attach`) is a link too, the last one, with its mesh's origin.
+    one body a radius, since the radius is the thickness of its mesh. Links without collision surfaces have no body.
+    Infinite planes are bodies of their own: squares that no part of the robot can leave within the limits. An object
+    that the robot carries (`attach`) is a link too, the last one, with its mesh's origin.
 
     Attributes:
         name: of the robot, as in the file.
@@ -58,7 +58,6 @@ class Robot:
         attached: names of the attached objects.
         body_link: (N,) int64: the link of each body.
         meshes: (N) `Mesh` of each body.
-        margin: (N,) float64, thickness of each body.
         moves: (N,) bool: whether joints move the body.
         exclude: (E, 2) int64: pairs of bodies that are never tested.
         untested: why: the names of two links, and a reason, of each pair of links whose bodies are never tested against
@@ -115,26 +114,24 @@ class Robot:
         slides = sum(self._slide(joint) for joint in tree.joints)
         half = max(PLANE, 2.0 * (self.reach + slides + max(away, default=0.0)))
         self._room = half - self.reach - max(away) if away else np.inf
-        meshes, owners, frames, margins, groups = [], [], [], [], []
+        meshes, owners, frames, groups = [], [], [], []
         for number, (link, frame, surfaces) in enumerate(links):
             for kind in sorted({(each.infinite, each.thickness, each.group) for each in surfaces}):
                 alike = [each for each in surfaces if (each.infinite, each.thickness, each.group) == kind]
                 surface = joined([each.widened(half) if each.infinite else each for each in alike])
                 try:
-                    mesh = Mesh(surface.vertices, surface.faces, solid=surface.solid)
+                    mesh = Mesh(surface.vertices, surface.faces, solid=surface.solid, thickness=kind[1])
                 except ValueError as error:
                     raise ValueError(f"link {link!r}: {error}") from error
                 mesh.name = link
                 meshes.append(mesh)
                 owners.append(number)
                 frames.append(frame)
-                margins.append(kind[1])
                 groups.append(kind[2])
         if not meshes:
             raise ValueError(f"robot {name!r} has no collision surfaces")
         self.meshes = meshes
         self.body_link = torch.tensor(owners)
-        self.margin = torch.tensor(margins, dtype=torch.float64)
         self._frames = frames
         self._extents = [mesh.reach for mesh in meshes]
         self._chains: dict[torch.device, Chains] = {}
@@ -213,7 +210,6 @@ class Robot:
         touching: Iterable[str] = (),
         *,
         name: str | None = None,
-        margin: float = 0.0,
     ) -> Robot:
         """A robot that carries an object, rigidly on one of its links.
 
@@ -229,7 +225,6 @@ class Robot:
                 body, moved to the body's last joint, as in `poses`.
             touching: names of links and attached objects that the object may touch, such as the fingers.
             name: of the object. Default: that of the mesh, else "attached".
-            margin: thickness of the object, a length >= 0.
 
         Raises:
             TypeError, ValueError: naming the argument: a link is unknown, `link` does not move, or the name is taken.
@@ -252,7 +247,7 @@ class Robot:
         if not name or name in self.link_names:
             raise ValueError(f"name: expected a name that no link has, got {name!r}")
         reasons = {frozenset((each, name)): "touching" for each in touched} | {frozenset((link, name)): "attached"}
-        objects = [*self._attached, Attached.of(name, link, mesh, pose, margin)]
+        objects = [*self._attached, Attached.of(name, link, mesh, pose)]
         return self._carrying(objects, self._left_out + LeftOut(reasons))
 
     def detach(self, name: str) -> Robot:
@@ -432,7 +427,8 @@ class Robot:
     def _scene(self, obstacles: Obstacles | None) -> Scene:
         """As `scene`, of obstacles with names as they should be, or none at all."""
         exclude = set(self._why_untested)
-        meshes, margin, static = list(self.meshes), self.margin, ~self.moves
+        meshes, static = list(self.meshes), ~self.moves
+        margin = torch.zeros(len(meshes), dtype=torch.float64)
         if obstacles is not None:
             first = len(meshes)
             meshes += obstacles.meshes

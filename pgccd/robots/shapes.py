@@ -1,4 +1,4 @@
-"""Collision shapes of links as thick surfaces: triangles, and a thickness that the scene gives them as margin."""
+"""Collision shapes of links as thick surfaces: triangles, and the thickness of their meshes."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ class Bodies:
         if key not in self._known:
             try:
                 made = surface()
-                mesh = Mesh(made.vertices, made.faces, solid="auto")
+                mesh = Mesh(made.vertices, made.faces, solid="auto", thickness=made.thickness)
             except ValueError as error:
                 raise ValueError(f"{name}: {error}") from error
             mesh.name = name
@@ -85,16 +85,13 @@ class Bodies:
         for k, each in enumerate(self._surfaces):
             if each.infinite:
                 wide = each.widened(self._half)
-                meshes[k] = Mesh(wide.vertices, wide.faces, solid="auto")
+                meshes[k] = Mesh(wide.vertices, wide.faces, solid="auto", thickness=wide.thickness)
                 meshes[k].name = self._meshes[k].name
-        # A list: a Python float keeps all its digits.
-        margin = [each.thickness for each in surfaces]
         pairs = torch.from_numpy(exclude.reshape(-1, 2).astype(np.int64)).to(device)
         return Scene(
             meshes,
             self._index,
             device,
-            margin=margin if any(margin) else None,
             exclude=pairs if len(pairs) else None,
             static=self._static,
             **filters,

@@ -60,7 +60,7 @@ MUTANTS = [
     _mutant("simulator-plane-narrow", BODIES, "max(PLANE, 4.0 * float((away + reach).max()))", "PLANE", ON_SIMULATORS),
     _mutant("simulator-leaves-plane", BODIES, "lateral + self._reach <=", "lateral <=", ON_SIMULATORS),
     _mutant("simulator-lateral-one-axis", BODIES, " + (away @ other) ** 2", "", ON_SIMULATORS),
-    _mutant("simulator-margin-dropped", BODIES, "margin=margin if any(margin) else None", "margin=None", ON_ORACLES),
+    _mutant("simulator-thickness-dropped", BODIES, "thickness=made.thickness", "thickness=0.0", ON_ORACLES),
     _mutant("mujoco-parents-tested", MUJOCO, "never |= related &", "never &= related &", ON_SIMULATORS),
     _mutant("mujoco-pairs-filtered", MUJOCO, "never &= ~np.isin(one", "never |= ~np.isin(one", ON_SIMULATORS),
     _mutant("mujoco-pairs-unseen", MUJOCO, "model.pair_geom2])] = True", "model.pair_geom2])] |= False", ON_SIMULATORS),

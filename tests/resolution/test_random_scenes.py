@@ -46,11 +46,11 @@ def resolve_and_check(made: RandomScene, device: torch.device) -> pgccd.Resoluti
 
 @pytest.mark.filterwarnings("ignore:scene. it has one body")
 def test_random_scenes(device: torch.device) -> None:
-    made = [(scene.kind, resolve_and_check(scene, device)) for scene in scenes(60)]
+    made = [(scene.kind, resolve_and_check(scene, device)) for scene in scenes(75)]
     assert {kind for kind, _ in made} == {"rigid", "posed", "linear", "deforming"}
     stopped = sum(int(((r.fraction > 0.0) & (r.fraction < 1.0)).any()) for _, r in made)
     listed = [sum(len(getattr(r, name)) > 0 for _, r in made) for name in ("touching_at_start", "unresolved")]
-    assert stopped > 15 and min(listed) > 8 and max(r.rounds for _, r in made) > 3, (stopped, listed)
+    assert stopped > 12 and min(listed) > 8 and max(r.rounds for _, r in made) > 3, (stopped, listed)
 
 
 @pytest.mark.slow

@@ -41,7 +41,7 @@ DOT = pgccd.Mesh(1e-3 * POINT.vertices, POINT.faces)
 def test_spheres_and_capsules_are_exact(tmp_path: Path) -> None:
     for across in (0.0, 0.1, 0.25):
         ball = mjcf(tmp_path, SLIDER.format('<geom type="sphere" size="0.2"/>'))
-        assert ball.margin.tolist() == [0.2] and len(ball.meshes[0].faces) == 1
+        assert ball.meshes[0].thickness == 0.2 and len(ball.meshes[0].faces) == 1
         expected = (5.0 - (0.3**2 - across**2) ** 0.5) / 5.0
         assert abs(fall(ball, DOT, 0.1, (across, 0, 0)) - expected) < 1e-9
         # Along x, its end at 0.5.
@@ -117,7 +117,7 @@ def test_bodies_of_links(tmp_path: Path) -> None:
     geoms = '<geom type="sphere" size="0.2"/><geom type="capsule" size="0.2 0.3"/><geom type="sphere" size="0.1"/>'
     geoms += '<geom type="box" size="1 1 1"/><geom type="box" size="9 9 9" contype="0" conaffinity="0"/>'
     robot = mjcf(tmp_path, SLIDER.format(geoms))
-    assert robot.body_link.tolist() == [1, 1, 1] and robot.margin.tolist() == [0.0, 0.1, 0.2]
+    assert robot.body_link.tolist() == [1, 1, 1] and [mesh.thickness for mesh in robot.meshes] == [0.0, 0.1, 0.2]
     assert [len(mesh.faces) for mesh in robot.meshes] == [12, 1, 2]
     assert robot.exclude.tolist() == [[0, 1], [0, 2], [1, 2]]
 

@@ -202,7 +202,7 @@ def test_geoms_that_mujoco_tests(tmp_path: Path) -> None:
             assert not expected
             continue
         radii = [round(float(radius), 4) for radius in model.geom_size[:, 0]]
-        geom = [radii.index(round(float(radius), 4)) for radius in robot.margin]
+        geom = [radii.index(round(float(radius), 4)) for radius in (mesh.thickness for mesh in robot.meshes)]
         left_out = {tuple(sorted((geom[i], geom[j]))) for i, j in robot.exclude.tolist()}
         every = {tuple(sorted(pair)) for pair in itertools.combinations(geom, 2)}
         assert every - left_out == expected, seed

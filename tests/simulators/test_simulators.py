@@ -28,6 +28,12 @@ MODEL = """
 """
 
 
+def thickness_of(scene: pgccd.Scene) -> list[float]:
+    """Of each body's mesh."""
+    assert scene.margin is None
+    return [scene.meshes.meshes[k].thickness for k in scene.mesh_index.tolist()]
+
+
 def darts(rng: np.random.Generator, count: int) -> str:
     places = [(*rng.uniform(-0.25, 0.25, 2), 0.6 + 0.35 * k) for k in range(count)]
     body = '<body name="dart{}" pos="{:.6f} {:.6f} {:.6f}"><freejoint/><geom type="box" size="0.04 0.03 0.002"/></body>'
@@ -109,7 +115,7 @@ def test_poses_of_mujoco_are_those_after_the_step() -> None:
     data.qvel[:] = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
     simulator = pgccd.simulators.MuJoCo(model)
     assert len(simulator.geoms) == simulator.scene.body_count == len(simulator.names) == 3
-    assert simulator.scene.margin is not None and simulator.scene.margin.tolist() == [0.0, 0.0, 0.1]
+    assert thickness_of(simulator.scene) == [0.0, 0.0, 0.1]
     assert simulator.scene.static is not None and simulator.scene.static.tolist() == [1, 1, 0]
     mujoco.mj_step(model, data)
     before = data.geom_xpos.copy()
@@ -212,7 +218,7 @@ def test_newton(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scene = simulator.scene
     assert scene.body_count == 8 and scene.exclude is not None and scene.exclude.tolist() == [[5, 6]]
     assert scene.static is not None and scene.static.tolist() == [1, 0, 0, 0, 0, 0, 0, 1]
-    assert scene.margin is not None and scene.margin.tolist() == pytest.approx([0.0] * 6 + [0.07, 0.0])
+    assert thickness_of(scene) == pytest.approx([0.0] * 6 + [0.07, 0.0])
 
     def frames() -> Iterator[tuple[torch.Tensor, torch.Tensor]]:
         poses = state.body_q.numpy()
@@ -287,7 +293,7 @@ def test_pybullet_tunnels_and_the_audit_finds_it(
 def slack_of_boxes(bullet: Any, simulator: pgccd.simulators.PyBullet) -> np.ndarray:
     """(N, 2, 3): how far PyBullet's bounding boxes reach beyond the surfaces, below and above."""
     scene, slack = simulator.scene, []
-    margin = torch.zeros(scene.body_count) if scene.margin is None else scene.margin
+    margin = thickness_of(scene)
     for body, (position, orientation) in enumerate(zip(*simulator.frame(), strict=True)):
         mesh, thick = scene.meshes.meshes[int(scene.mesh_index[body])], float(margin[body])
         points = mesh.vertices.numpy() @ axes_of(orientation.numpy()[None])[0] + position.numpy()
@@ -327,7 +333,7 @@ def test_hulls_of_pybullet(client: tuple[Any, int]) -> None:
     slack = slack_of_boxes(bullet, simulator)
     assert slack.min() > -1e-6 and slack.max() < 0.05
     assert len(simulator.scene.meshes.meshes[0].faces) == 4
-    assert simulator.scene.margin is not None and simulator.scene.margin.tolist() == [1e-3]
+    assert thickness_of(simulator.scene) == [1e-3]
     # Bodies inside of it are found: the hull is closed.
     peg = bullet.createCollisionShape(bullet.GEOM_BOX, halfExtents=[0.01, 0.01, 0.01])
     bullet.createMultiBody(1.0, peg, basePosition=[1.6, 2.3, 3.2])
@@ -433,7 +439,7 @@ def test_planes_and_margins_of_newton() -> None:
     model = builder.finalize(device="cpu")
     simulator, state = pgccd.simulators.Newton(model), model.state()
     scene = simulator.scene
-    assert scene.margin is not None and scene.margin.tolist() == [0.25, 0.0, 0.75, 0.0]
+    assert thickness_of(scene) == [0.25, 0.0, 0.75, 0.0]
     corners = [mesh.vertices + mesh.origin for mesh in scene.meshes.meshes]
     assert corners[0].abs().max(dim=0).values.tolist() == [1.5, 2.5, 0.0]
     np.testing.assert_allclose(corners[1][:, 0].numpy(), 2.0, atol=1e-2)
