@@ -12,7 +12,8 @@ import numpy as np
 from pgccd import arguments
 from pgccd.robots import shapes
 from pgccd.robots.kinematics import Joint, Tree, turned
-from pgccd.robots.robot import Robot, robot_of_file
+from pgccd.robots.readers import robot_of_file
+from pgccd.robots.robot import Robot
 from pgccd.robots.shapes import ThickSurface
 
 _X = np.array([1.0, 0.0, 0.0])

@@ -49,8 +49,9 @@ def certify(
 
     Obstacles may move: in each segment on the arc between two waypoints of their own (`Obstacles.motion`). They are not
     tested against each other. Links that no joint moves are not tested against obstacles at rest: a base may stand on a
-    table. A link wholly inside an
-    obstacle does not touch its surface; see `pgccd.enclosed`. Limits of joints are not checked.
+    table. A link inside of an obstacle, or of another link, that is a solid (`Mesh.solid`: watertight meshes are)
+    touches it: the verdict is START if the path starts so. Links inside of surfaces that are open touch nothing, see
+    `Robot.hollow`. Limits of joints are not checked.
 
     Args:
         robot: the robot.

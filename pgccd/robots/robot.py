@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import copy
 import math
-import warnings
 from collections.abc import Iterable, Sequence
 from itertools import combinations
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -187,6 +185,17 @@ class Robot:
     @property
     def exclude(self) -> Tensor:
         return sorted_pairs(self._why_untested)
+
+    @property
+    def hollow(self) -> list[str]:
+        """Names of links with a body that is no solid, since its surface is open: what is inside of it touches nothing
+        until it meets the surface.
+
+        Example:
+            >>> robot.hollow
+            []
+        """
+        return list(dict.fromkeys(mesh.name or "" for mesh in self.meshes if not mesh.solid and not mesh.thickness))
 
     @property
     def untested(self) -> list[tuple[str, str, str]]:
@@ -563,30 +572,5 @@ class Robot:
     def __repr__(self) -> str:
         counts = f"joints={self.joint_count}, links={len(self.link_names)}, bodies={self.body_count}"
         attached = f", attached={self.attached}" if self.attached else ""
-        return f"Robot({self.name!r}, {counts}{attached}, untested pairs={len(self.untested)})"
-
-
-def robot_of_file(path: Path, neutral: Sequence[float], *parts: Any) -> Robot:
-    """A robot of these parts, as `Robot` takes them, from a file. Warns of pairs of links that are tested and touch in
-    the `neutral` configuration (J,).
-
-    Raises:
-        ValueError: naming the file.
-    """
-    try:
-        robot = Robot(*parts)
-    except ValueError as error:
-        raise ValueError(f"path: {path}: {error}") from error
-    if robot.body_count < 2:
-        return robot
-    x, r = robot.poses(torch.tensor(neutral, dtype=torch.float64).reshape(-1))
-    touching = robot.body_link[collide(robot.scene(), RigidMotion.at_rest(x, r)).pairs]
-    if len(touching):
-        links = torch.unique(touching.sort(dim=1).values, dim=0).tolist()
-        pairs = [(robot.link_names[a], robot.link_names[b]) for a, b in links]
-        warnings.warn(
-            f"{path}: links touch in the neutral configuration, so that no path through it is free. If their surfaces "
-            f"overlap by design: robot = robot.allow({pairs})",
-            stacklevel=3,
-        )
-    return robot
+        hollow = f", hollow={self.hollow}" if self.hollow else ""
+        return f"Robot({self.name!r}, {counts}{attached}, untested pairs={len(self.untested)}{hollow})"

@@ -16,7 +16,8 @@ from pgccd.geometry.mesh import Mesh
 from pgccd.robots import shapes
 from pgccd.robots.kinematics import Joint, JointKind, Tree, quaternion_of
 from pgccd.robots.links import adjacent_links
-from pgccd.robots.robot import Robot, robot_of_file
+from pgccd.robots.readers import robot_of_file
+from pgccd.robots.robot import Robot
 from pgccd.robots.shapes import ThickSurface
 from pgccd.robots.urdf_checks import check_elements, check_urdf, keep_collisions, parsed_xml, refuse_unknown
 
