@@ -217,7 +217,7 @@ def test_fake_kernels_have_the_right_shapes(device: torch.device, calls_of_a_for
             continue
         operator = getattr(torch.ops.pgccd, name).default
         real = shapes(operator(*arguments))
-        # Nobody binds the sizes that depend on values.
+        # Sizes that depend on values stay unbound, since the test does not compute with them.
         with mode, environment.ignore_fresh_unbacked_symbols():
             fake = shapes(operator(*torch.utils._pytree.tree_map_only(torch.Tensor, mode.from_tensor, arguments)))
         assert len(real) == len(fake), name

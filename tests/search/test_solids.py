@@ -88,7 +88,7 @@ def test_only_what_is_marked_and_asked_for(deforms: bool) -> None:
         {"group": [1, 2], "mask": [1, 2]},
     ):
         assert not len(pgccd.detect(*at_rest([solid, inner], deforms, **columns)))
-    # Both see the other inside of them, if one surface is the other's, shrunk: the larger one alone.
+    # Of two solids only the larger one contains the other.
     assert rows(pgccd.detect(*at_rest([solid, inner.as_solid()], deforms))) == [([0, 1], INSIDE, [-1, 0])]
 
 
