@@ -30,7 +30,7 @@ flat = torch.cat([grid, torch.full((side**2, 1), 0.62)], dim=1)
 corner = torch.arange(side * side).view(side, side)
 a, b, c, d = (part.reshape(-1) for part in (corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:], corner[:-1, 1:]))
 sheet = pgccd.Mesh(flat, torch.cat([torch.stack([a, b, c], 1), torch.stack([a, c, d], 1)]))
-ball = pgccd.Mesh.sphere(0.5, subdivisions=2)
+ball = pgccd.Mesh.icosphere(0.5, subdivisions=2)
 scene = pgccd.Scene([sheet, ball], static=[False, True], self_collision=[True, False])
 
 count = len(sheet.vertices)

@@ -53,7 +53,7 @@ print(f"scaled:         radius {in_metres.radius:.6f}")
 # but a warning names the first face. Move the part to the origin before it is written in float32, and give its place by
 # the pose.
 
-sphere = pgccd.Mesh.sphere(0.3, subdivisions=3)
+sphere = pgccd.Mesh.icosphere(0.3, subdivisions=3)
 far = (sphere.vertices + torch.tensor([1.0e6, 0.0, 0.0])).to(torch.float32)
 with warnings.catch_warnings(record=True) as caught:
     warnings.simplefilter("always")

@@ -42,7 +42,7 @@ row = torch.arange(len(corners)).view(side + 3, side + 3)
 a, b, c, d = (part.flatten() for part in (row[:-1, :-1], row[1:, :-1], row[:-1, 1:], row[1:, 1:]))
 faces = torch.cat([torch.stack([a, b, c], dim=1), torch.stack([b, d, c], dim=1)])
 terrain = pgccd.Mesh(torch.column_stack([1.6 * corners - 1.6, height]), faces)
-ball, box, rod = pgccd.Mesh.sphere(0.4, 1), pgccd.Mesh.box([0.7, 0.5, 0.4]), pgccd.Mesh.box([1.1, 0.2, 0.2])
+ball, box, rod = pgccd.Mesh.icosphere(0.4, 1), pgccd.Mesh.box([0.7, 0.5, 0.4]), pgccd.Mesh.box([1.1, 0.2, 0.2])
 plate, cylinder = pgccd.Mesh.box([0.8, 0.8, 0.1]), pgccd.Mesh.cylinder(0.25, 0.8, 12)
 walls = [
     pgccd.Mesh.box(extents) for extents in ([0.5, width + 2, 10.0], [width + 2, 0.5, 10.0], [width + 2] * 2 + [0.5])

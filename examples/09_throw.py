@@ -15,7 +15,7 @@ import pgccd
 # **The scene**: a ball, two gates and a wall. The gates slide out of the way, one to each side. The ball flies on a
 # parabola, of which a `pgccd.Trajectory` takes some points; between them it is straight.
 
-ball, gate, wall = pgccd.Mesh.sphere(0.15, 2), pgccd.Mesh.box([0.1, 1.6, 3.0]), pgccd.Mesh.box([0.1, 4.0, 4.0])
+ball, gate, wall = pgccd.Mesh.icosphere(0.15, 2), pgccd.Mesh.box([0.1, 1.6, 3.0]), pgccd.Mesh.box([0.1, 4.0, 4.0])
 scene = pgccd.Scene([ball, gate, wall], mesh_index=[0, 1, 1, 2], mask=[-2, 1, 1, 1], group=[1, -2, -2, -2])
 BALL, GATES, WALL = 0, (1, 2), 3
 

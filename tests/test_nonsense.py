@@ -239,7 +239,7 @@ def calls(folder: Path) -> dict[str, Call]:
         "Mesh.box": Call(
             pgccd.Mesh.box, {"extents": (1.0, 1.0, 1.0), "origin": "centroid", "solid": True}, {"extents": ("origin",)}
         ),
-        "Mesh.sphere": Call(pgccd.Mesh.sphere, {"radius": 1.0, "subdivisions": 1, "origin": "centroid", "solid": True}),
+        "Mesh.icosphere": Call(pgccd.Mesh.icosphere, {"radius": 1.0, "subdivisions": 1, "origin": "centroid", "solid": True}),
         "Mesh.cylinder": Call(
             pgccd.Mesh.cylinder, {"radius": 1.0, "height": 1.0, "sections": 8, "origin": "centroid", "solid": True}
         ),

@@ -1,8 +1,8 @@
 // The operators. pgccd/ops/ documents them: shapes, units, errors.
 //
 // mesh_set = [vertices (V, 3) f64, faces (F, 3) i32, edges (E, 2) i32, triangles (F, 8) i32, node_blocks (n, 9, 8) f32,
-//             node_links (n, 8, 4) i32, leaf_points (p, 4, 8) as i32, corners (9, F + padding) f32,
-//             offsets (meshes + 1, 5) i64, centres (meshes, 3), reaches (meshes,), both empty if all SBV centres
+//             node_links (n, 8, 4) i32, leaf_points (p, 4, 8) as i32, corners (9, C) f32, of F without points,
+//             offsets (meshes + 1, 6) i64, centres (meshes, 3), reaches (meshes,), both empty if all SBV centres
 //             are origins, node_supports (n, 8, 24) i32] see core/mesh_set.h
 // rigid bodies = [mesh_index (N,) i32, position_t0 (N, 3), position_t1 (N, 3), radius (N,), orientation (N, 4),
 //                 rotation (N, 3)]

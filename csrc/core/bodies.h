@@ -59,9 +59,14 @@ PGCCD_HD bool is_sound(const DeformingBodies& bodies, int64_t body) {
          are_within(bodies.block_begin[body], rows[1].block - rows[0].block, bodies.block_count);
 }
 
-// A negative tolerance is relative to the smaller SBV radius of the pair.
+// SBV radius and margin: the size of a sphere is its margin alone.
+PGCCD_HD double size_of(const BodyCentres& centres, int64_t body) {
+  return centres.margin == nullptr ? centres.radius[body] : centres.radius[body] + centres.margin[body];
+}
+
+// A negative tolerance is relative to the smaller body of the pair.
 PGCCD_HD double pair_tolerance(const BodyCentres& centres, int64_t i, int64_t j, double tolerance) {
-  return tolerance < 0.0 ? -tolerance * smaller(centres.radius[i], centres.radius[j]) : tolerance;
+  return tolerance < 0.0 ? -tolerance * smaller(size_of(centres, i), size_of(centres, j)) : tolerance;
 }
 
 // The separation of a pair including margins, rounded up so that no contact is missed. For a body and itself, twice its

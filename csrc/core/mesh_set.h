@@ -9,14 +9,20 @@
 
 namespace pgccd {
 
-// One triangle, in the order of the hierarchy's leaves. Every vertex and every edge of a mesh is *represented* by
-// exactly one of its triangles (representative triangles, Curtis, Tamstorf & Manocha 2008), so that a feature pair is
-// emitted once.
+// Elements of a mesh. A segment is a triangle (a, b, b) without area, a point (a, a, a): the same tests are exact for
+// them. In a mesh triangles come first, then segments, then points; a leaf has elements of one kind.
+enum class ElementKind : int32_t { kTriangle = 0, kSegment = 1, kPoint = 2 };
+
+// One element, in the order of the hierarchy's leaves. Every vertex and every edge of a mesh is *represented* by exactly
+// one of its elements (representative triangles, Curtis, Tamstorf & Manocha 2008), so that a feature pair is emitted
+// once.
 struct Triangle {
   int32_t vertex[3];
-  int32_t edge[3];      // edge k joins vertex k and vertex (k + 1) % 3
+  int32_t edge[3];      // edge k joins vertex k and vertex (k + 1) % 3; -1 if they are the same
   int32_t face;         // row in the mesh's face list
-  int32_t represented;  // bits 0-2: vertices, bits 3-5: edges
+  int32_t represented;  // bits 0-2: vertices, bits 3-5: edges; from bit 6 on: the kind
+
+  PGCCD_HD ElementKind kind() const { return static_cast<ElementKind>(represented >> 6); }
 };
 
 // The hierarchy is a tree of blocks of up to eight sibling nodes, so that one node is tested against eight at a time.
@@ -61,11 +67,12 @@ struct alignas(16) LeafPoints {
 };
 
 struct MeshOffsets {
-  int64_t vertex, face, edge, block, leaf_points;
+  int64_t vertex, face, edge, block, leaf_points, corners;
 };
 
-// Corners of the triangles in float32, as nine columns (corner 0 x, y, z, corner 1 x, ...) of `stride` values, so that
-// eight neighbouring triangles load as lanes; the columns are padded at their end for that.
+// Corners of the triangles and segments in float32, as nine columns (corner 0 x, y, z, corner 1 x, ...) of `stride`
+// values, so that eight neighbouring elements load as lanes; the rows of each mesh are padded at their end for that.
+// Points have none: they would be three copies.
 struct CornerColumns {
   const float* first;
   int64_t stride;
@@ -87,7 +94,7 @@ struct MeshSetView {
   const NodeLink* node_links;        // (blocks, 8)
   const NodeSupport* node_supports;  // (blocks, 8)
   const LeafPoints* leaf_points;
-  CornerColumns corners;       // (9, stride), column entries in the order of `triangles`
+  CornerColumns corners;       // (9, stride), rows of a mesh in the order of its `triangles`
   const MeshOffsets* offsets;  // (meshes + 1): the next row is the end of a mesh's rows
   int64_t mesh_count;
   int64_t feature_count;  // of vertices, faces or edges, whichever are most, of all meshes

@@ -63,7 +63,7 @@ class Builder {
       const int32_t begin = tree_.nodes[task.node].begin, end = tree_.nodes[task.node].end;
       keep_vertices_of_node(task);
       set_volume(task);
-      if (end - begin <= leaf_size_) {
+      if (end - begin <= leaf_size_ && end_of_first_kind(begin, end, task) == end) {
         const std::vector<int32_t>& order = along_[task.axis];
         std::copy(order.begin() + begin, order.begin() + end, tree_.triangle_order.begin() + begin);
         add_leaf_points(task);
@@ -127,9 +127,20 @@ class Builder {
     }
   }
 
+  // Faces are in the order of their kinds, and kinds are separated before all else.
+  int32_t end_of_first_kind(int32_t begin, int32_t end, const Task& task) const {
+    const std::vector<int32_t>& order = along_[task.axis];
+    const ElementKind kind = kind_of(faces_[order[begin]]);
+    if (kind_of(faces_[order[end - 1]]) == kind) return end;
+    const auto is_of_first = [&](int32_t f) { return kind_of(faces_[f]) == kind; };
+    return static_cast<int32_t>(std::partition_point(order.begin() + begin, order.begin() + end, is_of_first) -
+                                order.begin());
+  }
+
   // Orders the node's triangles so that those of its first child come first.
   Split split_node(Task& task) {
     const int32_t begin = tree_.nodes[task.node].begin, end = tree_.nodes[task.node].end;
+    if (const int32_t middle = end_of_first_kind(begin, end, task); middle < end) return {task.axis, middle};
     if (!task.is_sorted) {
       if (end - begin > kMostSorted && task.depth < kFreeDepth) {
         const Split split = split_between_bins(begin, end);

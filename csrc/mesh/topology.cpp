@@ -19,17 +19,17 @@ Topology make_topology(const std::vector<Face>& faces) {
     for (size_t f = 0; f < faces.size(); ++f) {
       for (int8_t corner = 0; corner < 3; ++corner) {
         const auto [first, second] = std::minmax(faces[f][corner], faces[f][(corner + 1) % 3]);
-        use(first, HalfEdge{second, corner, static_cast<int64_t>(f)});
+        if (first != second) use(first, HalfEdge{second, corner, static_cast<int64_t>(f)});
       }
     }
   };
   for_each_half([&](int32_t first, const HalfEdge&) { ++begin[first + 1]; });
   std::partial_sum(begin.begin(), begin.end(), begin.begin());
-  std::vector<HalfEdge> halves(3 * faces.size());
+  std::vector<HalfEdge> halves(static_cast<size_t>(begin.back()));
   std::vector<int64_t> next(begin.begin(), begin.end() - 1);
   for_each_half([&](int32_t first, const HalfEdge& half) { halves[next[first]++] = half; });
   Topology topology;
-  topology.face_edges.resize(faces.size());
+  topology.face_edges.resize(faces.size(), {-1, -1, -1});
   topology.edges.reserve(2 * faces.size());
   for (int32_t first = 0; first <= last_vertex; ++first) {
     const auto from = halves.begin() + begin[first], to = halves.begin() + begin[first + 1];
@@ -48,12 +48,13 @@ std::vector<int32_t> representatives(const std::vector<Face>& faces, const Topol
   std::vector<int32_t> represented;
   represented.reserve(order.size());
   for (const int32_t f : order) {
-    int32_t bits = 0;
+    int32_t bits = static_cast<int32_t>(kind_of(faces[f])) << 6;
     for (int corner = 0; corner < 3; ++corner) {
       const int32_t vertex = faces[f][corner], edge = topology.face_edges[f][corner];
       if (!vertex_taken[vertex]) bits |= 1 << corner;
-      if (!edge_taken[edge]) bits |= 8 << corner;
       vertex_taken[vertex] = true;
+      if (edge < 0) continue;
+      if (!edge_taken[edge]) bits |= 8 << corner;
       edge_taken[edge] = true;
     }
     represented.push_back(bits);

@@ -10,7 +10,8 @@ def incidence(vertices: Tensor, faces: Tensor, edges: Tensor, offsets: Tensor) -
     the CPU. Indices are rows of its concatenated tensors; items of lists ascend.
 
     Returns:
-        face_edges (F, 3) int64, edges of each face, from its first corner to the second, and so on; int64 lists, as
+        face_edges (F, 3) int64, edges of each face, from its first corner to the second, and so on, any edge between
+        equal corners; int64 lists, as
         begin (n + 1,) and items (m,), of the faces of vertices, the edges of vertices, and the faces of edges; outward
         (meshes,) float64, 1 if the normals by the order of the corners point out of a closed mesh, -1 if they point
         into it, 0 if the mesh is open or its faces are not all wound alike. And the longest list of a vertex or edge.
@@ -25,12 +26,16 @@ def incidence(vertices: Tensor, faces: Tensor, edges: Tensor, offsets: Tensor) -
     ends = faces.roll(-1, 1)
     low, high = torch.minimum(faces, ends), torch.maximum(faces, ends)
     face_edges = torch.searchsorted(edges[:, 0] * total + edges[:, 1], low * total + high)
-    each_face = torch.arange(len(faces)).repeat_interleave(3)
+    face_edges = face_edges.clamp(max=max(len(edges) - 1, 0))
+    each_face = torch.arange(len(faces))[:, None].expand(-1, 3)
     each_edge = torch.arange(len(edges)).repeat_interleave(2)
+    # The corners of a segment or a point, and the edge of a segment, count once.
+    is_corner = torch.stack([torch.ones(len(faces), dtype=torch.bool), low[:, 0] < high[:, 0], low[:, 1] < high[:, 1]], 1)
+    is_edge = torch.stack([is_corner[:, 1], is_corner[:, 2], is_corner[:, 2]], 1)
     lists = [
-        _lists(faces.reshape(-1), each_face, total),
+        _lists(faces[is_corner], each_face[is_corner], total),
         _lists(edges.reshape(-1), each_edge, total),
-        _lists(face_edges.reshape(-1), each_face, len(edges)),
+        _lists(face_edges[is_edge], each_face[is_edge], len(edges)),
     ]
 
     # Closed and wound alike: two faces at each edge, one along it, one against it.

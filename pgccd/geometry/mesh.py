@@ -1,4 +1,4 @@
-"""Meshes: triangles, the origin that poses refer to, and the hierarchy, shared by any number of bodies."""
+"""Meshes: triangles, segments and points, the origin that poses refer to, and the hierarchy."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from pgccd import _host, arguments
-from pgccd.geometry import mesh_files, shapes
+from pgccd.geometry import elements, mesh_files, shapes
 from pgccd.geometry.boxes import elongated_box
 from pgccd.geometry.origin import Origin, checked_origin, checked_point, origin_point
 from pgccd.geometry.solids import Solid, is_solid
@@ -42,7 +42,8 @@ _OF_FILE = ("name", "welded_vertices", "dropped_faces", "source_vertex", "source
 
 
 class Mesh:
-    """A triangle mesh with its sphere bounding volume (SBV) and hierarchy.
+    """A mesh of triangles, segments and points with its sphere bounding volume (SBV) and hierarchy. A sphere is a point
+    with a thickness, a capsule a segment with a thickness.
 
     A pose maps the coordinates as given: a point v of the mesh is at position + R (v - origin). A pose's position is
     that of the origin, and a rigid path rotates about it; unless the origin is "centroid", the path does not depend on
@@ -55,29 +56,34 @@ class Mesh:
     Args:
         vertices: (V, 3) array or tensor of finite numbers, in scene length units. Lists are float64. A UserWarning
             names faces that float32 has distorted, far from the origin of the coordinates.
-        faces: (F, 3) integers, three different rows of `vertices` per face. Meshes may be open, non-manifold or in
-            several components, and faces may have no area.
+        faces: (T, 3) integers, three different rows of `vertices` per triangle. Meshes may be open, non-manifold or in
+            several components, and triangles may have no area. Default: none.
         origin: a point (3,) in the coordinates of `vertices`, for example a joint; "centroid", the SBV centre: the mean
             of the corner coordinates over all triangles (Du, Liu & Suzumura 2017, Eq. 1), which depends on the
-            tessellation; or "center_of_mass", that of a solid of uniform density. The surface must then be closed and
+            tessellation, or of a mesh without triangles the middle of its bounding box; or "center_of_mass", that of a solid of uniform density. The surface must then be closed and
             consistently oriented (each edge shared by two triangles in opposite directions).
+        segments: (S, 2) integers, two different rows of `vertices` per segment. Default: none.
+        points: (P,) integers, different rows of `vertices`. Default: none.
         solid: whether the inside belongs to the body, so that a body that begins a step inside of it touches it
             (`Kind.INSIDE`). True needs a closed and consistently oriented surface; "auto" is True for those that face
             outwards, around a volume > 0. Inside are all points about which the surface winds, of several overlapping
             shells too; a cavity, whose surface faces the other way, is outside. Default False: only the surface counts.
         thickness: length >= 0, in the units of `vertices`: the surface is that of all points at most so far from the
-            triangles. A scene adds it to the margin of each body with this mesh.
+            triangles, segments and points. A scene adds it to the margin of each body with this mesh.
 
     Attributes:
         origin: (3,) float64: the origin in the coordinates given.
         centre: (3,) float64: the SBV centre in the coordinates given.
-        radius: SBV radius: the largest distance of a used vertex from the centre (Eq. 2), rounded up.
+        radius: SBV radius: the largest distance of a used vertex from the centre (Eq. 2), rounded up; 1e-30 for points
+            at one place.
         centre_offset: (3,) float64: the SBV centre relative to the origin; exactly 0 for "centroid".
         reach: bound of the distance of used vertices from the origin; the radius if the SBV centre is the origin.
         vertices: (V, 3) float64, relative to the origin.
-        faces: (F, 3) int32.
+        faces: (F, 3) int32: the elements. First the triangles, then each segment (a, b) as (a, b, b), then each point a
+            as (a, a, a). Face indices of contacts refer to it.
+        triangle_count, segment_count, point_count: numbers of these elements.
         solid: bool: whether the inside belongs to the body.
-        thickness: by how much the triangles are thickened.
+        thickness: by how much the elements are thickened.
         edges: (E, 2) int32: each edge once, smaller vertex first, in lexicographic order. Edge indices of contacts
             refer to it.
         name: of the object in its file, or None.
@@ -89,8 +95,8 @@ class Mesh:
         source_face: (F,) int64: row in the file of each face; None for a mesh not from a file.
 
     Raises:
-        ValueError: naming the first offending vertex or face, the mesh has no faces or an SBV radius outside of [1e-30,
-            1e30]; the origin is not a finite point, too far away, or undefined because the surface bounds no solid; or
+        ValueError: naming the first offending vertex, face, segment or point, the mesh has none of these or an SBV
+            radius outside of [1e-30, 1e30]; the origin is not a finite point, too far away, or undefined because the surface bounds no solid; or
             `solid` is True, and an edge is not shared by two faces in opposite directions; `thickness` is no length.
         TypeError: `solid` is neither a bool nor "auto", or `thickness` no number.
 
@@ -104,41 +110,43 @@ class Mesh:
     def __init__(
         self,
         vertices: npt.ArrayLike | Tensor,
-        faces: npt.ArrayLike | Tensor,
+        faces: npt.ArrayLike | Tensor | None = None,
         origin: Origin = (0.0, 0.0, 0.0),
         *,
+        segments: npt.ArrayLike | Tensor | None = None,
+        points: npt.ArrayLike | Tensor | None = None,
         solid: Solid = False,
         thickness: float = 0.0,
     ) -> None:
-        points = _as_array(vertices, np.float64, "vertices")
-        triangles = _as_array(faces, np.int64, "faces")
-        _check_faces(points, triangles)
-        self.solid = is_solid(solid, points, triangles)
+        x = _as_array(vertices, np.float64, "vertices")
+        table = elements.elements(x, faces, segments, points)
+        self.solid = is_solid(solid, x, table)
         self.thickness = _checked_thickness(thickness)
         if arguments.is_float32(vertices):
-            _warn_of_rounding(points, triangles)
+            _warn_of_rounding(x, table)
 
-        corners = points[triangles]
-        # Relative to the first corner, so that a mesh far from the origin keeps its digits.
-        centre = corners[0, 0] + (corners - corners[0, 0]).reshape(-1, 3).mean(axis=0)
-        reference = origin_point(origin, points, triangles, centre)
+        centre = elements.centre(x, table)
+        reference = origin_point(origin, x, table, centre)
         # Coordinates relative to the origin are taken as exact; all else is derived from them.
-        body = points - reference
-        self._prepare(body, triangles, reference, centre, centre - reference)
+        body = x - reference
+        self._prepare(body, table, reference, centre, centre - reference)
 
     def _prepare(
-        self, body: np.ndarray, triangles: np.ndarray, reference: np.ndarray, centre: np.ndarray, offset: np.ndarray
+        self, body: np.ndarray, table: np.ndarray, reference: np.ndarray, centre: np.ndarray, offset: np.ndarray
     ) -> None:
         """Sets all attributes that are derived.
 
         Args:
             body: (V, 3) vertices relative to the origin.
-            triangles: (F, 3).
+            table: (F, 3) elements.
             reference, centre: (3,) the origin and the SBV centre, in the coordinates given.
             offset: (3,) of the SBV centre relative to the origin.
         """
         local = body - offset if offset.any() else body
-        radius = float(np.sqrt((local[triangles.ravel()] ** 2).sum(axis=1).max()))
+        self.triangle_count, self.segment_count, self.point_count = elements.counts(table)
+        radius = float(np.sqrt((local[table.ravel()] ** 2).sum(axis=1).max()))
+        if self.point_count == len(table):
+            radius = max(radius, SMALLEST_RADIUS)
         if not SMALLEST_RADIUS <= radius <= LARGEST_RADIUS:
             raise ValueError(
                 f"vertices: the mesh has SBV radius {radius:g}; "
@@ -149,7 +157,7 @@ class Mesh:
                 f"origin: it must lie within {_FURTHEST_ORIGIN:g} SBV radii of the SBV centre {centre.tolist()}, of "
                 f'which one is {radius:g}, but it is {reference.tolist()}; origin="centroid" puts it there'
             )
-        prepared = _host.prepare_mesh(local, triangles.astype(np.int32), LEAF_SIZE)
+        prepared = _host.prepare_mesh(local, table.astype(np.int32), LEAF_SIZE)
         self.origin = torch.from_numpy(reference)
         self.centre = torch.from_numpy(centre)
         self.radius = radius * (1.0 + 2.0**-50)
@@ -158,20 +166,22 @@ class Mesh:
         if offset.any():
             self.reach = (self.radius + float(np.linalg.norm(offset))) * (1.0 + 2.0**-50)
         self.vertices = torch.from_numpy(body)
-        self.faces = torch.from_numpy(triangles.astype(np.int32))
+        self.faces = torch.from_numpy(table.astype(np.int32))
         self.edges = torch.from_numpy(prepared["edges"])
         if len(self.edges) > _MOST_EDGES:
             raise ValueError(f"faces: the mesh has {len(self.edges)} edges; expected at most {_MOST_EDGES}")
         self._triangles = torch.from_numpy(prepared["triangles"])
-        in_leaf_order = self.faces[self._triangles[:, 6].long()].long()
-        # Corner coordinates as nine columns, relative to the SBV centre like the hierarchy.
-        self._corners = torch.from_numpy(local).float()[in_leaf_order].view(-1, 9).T.contiguous()
+        # Corner coordinates of triangles and segments as nine columns, relative to the SBV centre like the hierarchy;
+        # padded, so that eight neighbours can be loaded at the last one.
+        cornered = self._triangles[: len(table) - self.point_count, :3].long()
+        corners = torch.from_numpy(local).float()[cornered].view(-1, 9)
+        self._corners = torch.nn.functional.pad(corners, (0, 0, 0, LEAF_SIZE)).T.contiguous()
         self._node_blocks = torch.from_numpy(prepared["node_blocks"]).view(-1, 9, 8)
         self._node_links = torch.from_numpy(prepared["node_links"]).view(-1, 8, 4)
         self._leaf_points = torch.from_numpy(prepared["leaf_points"]).view(-1, 4, 8)
         self._node_supports = torch.from_numpy(prepared["node_supports"]).view(-1, 8, 24)
         # (4, 3) float64, relative to the SBV centre; None for a mesh that fills much of its SBV.
-        self._box = elongated_box(local, triangles, radius)
+        self._box = elongated_box(local, table, radius) if radius > SMALLEST_RADIUS else None
 
     @classmethod
     def box(
@@ -193,7 +203,87 @@ class Mesh:
         return cls(*shapes.box(extents), origin, solid=solid)
 
     @classmethod
-    def sphere(
+    def points(cls, x: npt.ArrayLike | Tensor, radius: float = 0.0, origin: Origin = (0.0, 0.0, 0.0)) -> Mesh:
+        """A cloud of points, or of spheres of equal radius.
+
+        Args:
+            x: (V, 3) array or tensor of finite numbers, in scene length units.
+            radius: length >= 0, in scene length units: the mesh's thickness.
+            origin: as for the constructor.
+
+        Raises:
+            TypeError, ValueError: as for the constructor.
+
+        Example:
+            >>> pgccd.Mesh.points([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], 0.1).point_count
+            2
+        """
+        vertices = _as_array(x, np.float64, "x")
+        return cls(vertices, None, origin, points=np.arange(len(vertices)), thickness=_radius(radius))
+
+    @classmethod
+    def segments(
+        cls,
+        x: npt.ArrayLike | Tensor,
+        edges: npt.ArrayLike | Tensor,
+        radius: float = 0.0,
+        origin: Origin = (0.0, 0.0, 0.0),
+    ) -> Mesh:
+        """Segments, or capsules of equal radius: rods, wires, the skeleton of a robot.
+
+        Args:
+            x: (V, 3) array or tensor of finite numbers, in scene length units.
+            edges: (S, 2) integers, two different rows of `x` per segment.
+            radius: length >= 0, in scene length units: the mesh's thickness.
+            origin: as for the constructor.
+
+        Raises:
+            TypeError, ValueError: as for the constructor.
+
+        Example:
+            >>> pgccd.Mesh.segments([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0]], [[0, 1], [1, 2]]).edges.shape
+            torch.Size([2, 2])
+        """
+        return cls(_as_array(x, np.float64, "x"), None, origin, segments=edges, thickness=_radius(radius))
+
+    @classmethod
+    def sphere(cls, radius: float, origin: Origin = (0.0, 0.0, 0.0)) -> Mesh:
+        """A sphere around the origin, exact: a point with a thickness. A polyhedron is made by `icosphere`.
+
+        Args:
+            radius: of the sphere, > 0, in scene length units.
+            origin: as for the constructor.
+
+        Raises:
+            TypeError, ValueError: an argument is not such a number.
+
+        Example:
+            >>> pgccd.Mesh.sphere(0.5).thickness
+            0.5
+        """
+        return cls.points(np.zeros((1, 3)), shapes.size(radius, "radius"), origin)
+
+    @classmethod
+    def capsule(cls, radius: float, length: float, origin: Origin = (0.0, 0.0, 0.0)) -> Mesh:
+        """A capsule along the z axis, centred on the origin, exact: a segment with a thickness.
+
+        Args:
+            radius: of its ends, > 0, in scene length units.
+            length: of the segment between the centres of its ends, > 0, in scene length units.
+            origin: as for the constructor.
+
+        Raises:
+            TypeError, ValueError: an argument is not such a number.
+
+        Example:
+            >>> pgccd.Mesh.capsule(0.1, 1.0).segment_count
+            1
+        """
+        half = 0.5 * shapes.size(length, "length")
+        return cls.segments([[0.0, 0.0, -half], [0.0, 0.0, half]], [[0, 1]], shapes.size(radius, "radius"), origin)
+
+    @classmethod
+    def icosphere(
         cls, radius: float, subdivisions: int = 3, origin: Origin = (0.0, 0.0, 0.0), *, solid: Solid = False
     ) -> Mesh:
         """A polyhedron with its vertices on a sphere around the origin: an icosahedron, each of its faces divided into
@@ -209,10 +299,10 @@ class Mesh:
             TypeError, ValueError: an argument is not such a number.
 
         Example:
-            >>> pgccd.Mesh.sphere(0.5).faces.shape
+            >>> pgccd.Mesh.icosphere(0.5).faces.shape
             torch.Size([1280, 3])
         """
-        return cls(*shapes.sphere(radius, subdivisions), origin, solid=solid)
+        return cls(*shapes.icosphere(radius, subdivisions), origin, solid=solid)
 
     @classmethod
     def cylinder(
@@ -425,13 +515,12 @@ class Mesh:
             state = _LATER | state
         arguments.entries(state, (*_STATE, *_OF_FILE, *_LATER))
         points = _as_array(state["vertices"], np.float64, "vertices")
-        triangles = _as_array(state["faces"], np.int64, "faces")
-        _check_faces(points, triangles)
+        table = elements.checked(points, _as_array(state["faces"], np.int64, "faces"))
         places = [checked_point(state[name], name) for name in ("origin", "centre", "centre_offset")]
         mesh = cls.__new__(cls)
-        mesh.solid = is_solid(arguments.flag(state["solid"], "solid"), points, triangles)
+        mesh.solid = is_solid(arguments.flag(state["solid"], "solid"), points, table)
         mesh.thickness = _checked_thickness(state["thickness"])
-        mesh._prepare(points, triangles, *places)
+        mesh._prepare(points, table, *places)
         for name in ("welded_vertices", "dropped_faces"):
             setattr(mesh, name, arguments.integer(state[name], name, 0, "a number >= 0"))
         for name, allowed in (("name", str), ("unit", float), ("source_vertex", Tensor), ("source_face", Tensor)):
@@ -451,12 +540,23 @@ class Mesh:
 
     def __repr__(self) -> str:
         name = "" if self.name is None else f"{self.name!r}, "
-        counts = f"vertices={len(self.vertices)}, faces={len(self.faces)}, edges={len(self.edges)}"
+        numbers = {
+            "vertices": len(self.vertices),
+            "faces": self.triangle_count,
+            "segments": self.segment_count,
+            "points": self.point_count,
+            "edges": len(self.edges),
+        }
+        counts = ", ".join(f"{what}={count}" for what, count in numbers.items() if count or what == "vertices")
         gone = {"welded_vertices": self.welded_vertices, "dropped_faces": self.dropped_faces}
         changed = "".join(f", {what}={count}" for what, count in gone.items() if count)
         solid = ", solid" if self.solid else ""
         solid += f", thickness={self.thickness:g}" if self.thickness else ""
         return f"Mesh({name}{counts}, radius={self.radius:g}{solid}{changed})"
+
+
+def _radius(radius: float) -> float:
+    return arguments.length(radius, "radius")
 
 
 def _checked_thickness(thickness: float) -> float:
@@ -483,16 +583,6 @@ def _as_array(values: npt.ArrayLike | Tensor, dtype: type, name: str) -> np.ndar
     return np.ascontiguousarray(raw, dtype=dtype)
 
 
-def _check_faces(points: np.ndarray, faces: np.ndarray) -> None:
-    if len(faces) == 0:
-        raise ValueError("faces: the mesh holds no triangles")
-    arguments.check_corners(points, faces)
-    repeats = (faces == np.roll(faces, 1, axis=1)).any(axis=1)
-    if repeats.any():
-        first = int(np.argmax(repeats))
-        raise ValueError(f"faces: face {first} repeats a vertex: {faces[first].tolist()}")
-
-
 def _is_float32(values: np.ndarray) -> bool:
     """Whether all values are representable in float32."""
     with np.errstate(over="ignore"):
@@ -504,11 +594,13 @@ def _warn_of_rounding(points: np.ndarray, faces: np.ndarray, source: str = "", s
 
     Args:
         points: (V, 3) finite, given in float32.
-        faces: (F, 3).
+        faces: (F, 3); points are not looked at.
         source: where they come from, in words: the start of the message. Default: an argument.
         stacklevel: see `warnings.warn`.
     """
-    corners = points[faces]
+    corners = points[faces[faces[:, 0] != faces[:, 1]]]
+    if len(corners) == 0:
+        return
     size = np.abs(corners - np.roll(corners, 1, axis=1)).max(axis=(1, 2))
     unit = np.spacing(np.abs(corners).max(axis=(1, 2)).astype(np.float32)).astype(np.float64)
     is_lost = size <= FEW_UNITS * unit

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from pgccd import arguments
 from pgccd.geometry.incidence import incidence
-from pgccd.geometry.mesh import LEAF_SIZE, Mesh
+from pgccd.geometry.mesh import Mesh
 from pgccd.geometry.solids import opening, vertices_of_components
 
 # Of the tensors of a mesh set: where each mesh's pieces begin, if any is a solid.
@@ -30,8 +30,8 @@ class MeshSet:
 
     Attributes:
         meshes: the meshes.
-        offsets: (meshes + 1, 5) int64: first rows of each mesh's vertices, faces, edges, node blocks and leaf points.
-            The last row holds the totals.
+        offsets: (meshes + 1, 6) int64: first rows of each mesh's vertices, faces, edges, node blocks, leaf points and
+            corners. The last row holds the totals.
         radius: (meshes,) float64 SBV radii.
         is_centred: whether every mesh has its SBV centre at its origin.
         has_boxes: whether a mesh fills so little of its SBV that the broad phase also tests boxes.
@@ -51,19 +51,21 @@ class MeshSet:
             arguments.instance(mesh, f"meshes[{index}]", Mesh)
         self.meshes = list(meshes)
         counts = torch.tensor(
-            [[len(rows) for rows in (m.vertices, m.faces, m.edges, m._node_links, m._leaf_points)] for m in meshes]
+            [
+                [len(rows) for rows in (m.vertices, m.faces, m.edges, m._node_links, m._leaf_points, m._corners[0])]
+                for m in meshes
+            ]
         )
-        self.offsets = torch.cat([torch.zeros((1, 5), dtype=torch.int64), counts.cumsum(0)])
+        self.offsets = torch.cat([torch.zeros((1, 6), dtype=torch.int64), counts.cumsum(0)])
         self.radius = torch.tensor([m.radius for m in meshes], dtype=torch.float64, device=device)
         columns = ("vertices", "faces", "edges", "_triangles", "_node_blocks", "_node_links", "_leaf_points")
-        joined = [torch.cat([getattr(m, column) for m in meshes]) for column in columns]
-        # Padded, so that eight neighbours can be loaded at the last triangle.
-        corners = torch.nn.functional.pad(torch.cat([m._corners for m in meshes], dim=1), (0, LEAF_SIZE))
+        joined = [_joined([getattr(m, column) for m in meshes]) for column in columns]
+        corners = _joined([m._corners for m in meshes], dim=1)
         self.is_centred = not any(bool(m.centre_offset.any()) for m in meshes)
         off_centre = [] if self.is_centred else meshes
         centres = torch.cat([torch.empty((0, 3), dtype=torch.float64), *(m.centre_offset[None] for m in off_centre)])
         reaches = torch.tensor([m.reach for m in off_centre], dtype=torch.float64)
-        supports = torch.cat([m._node_supports for m in meshes])
+        supports = _joined([m._node_supports for m in meshes])
         self.has_boxes = any(m._box is not None for m in meshes)
         boxes = torch.zeros((len(meshes) if self.has_boxes else 0, 4, 3), dtype=torch.float64)
         for index, mesh in enumerate(meshes):
@@ -134,6 +136,11 @@ class MeshSet:
             >>> meshes = meshes.to("cpu")
         """
         return MeshSet(self.meshes, device)
+
+
+def _joined(columns: list[Tensor], dim: int = 0) -> Tensor:
+    """One after the other. A single one is not copied: a large mesh is in memory once."""
+    return columns[0] if len(columns) == 1 else torch.cat(columns, dim=dim)
 
 
 def _solid_columns(meshes: Sequence[Mesh], are_solid: list[bool]) -> tuple[Tensor, Tensor, Tensor]:

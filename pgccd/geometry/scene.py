@@ -306,6 +306,12 @@ class Scene:
             return self.margin
         return sum_of_margins(self.meshes.thickness.index_select(0, self._sound_index), self.margin)
 
+    @property
+    def _size(self) -> Tensor:
+        """(N,) float64: SBV radius and `_thickness`, of which default tolerances are a part."""
+        thickness = self._thickness
+        return self.radius if thickness is None else self.radius + thickness
+
     def _leave_out(self, is_padding: Tensor) -> None:
         """Gives the bodies marked by (N,) bool a negative radius, so that no pair contains them."""
         self._given_radius = torch.where(is_padding, -torch.inf, self.radius)
@@ -328,7 +334,7 @@ class Scene:
         offsets = self.meshes.offsets
         counts = (offsets[1:] - offsets[:-1])[index]
         begin = (counts.cumsum(0) - counts).to(self.device)
-        vertex_count, _, _, block_count, _ = counts.sum(0).tolist()
+        vertex_count, _, _, block_count, *_ = counts.sum(0).tolist()
         return VertexLayout(vertex_count, block_count, begin[:, 0].contiguous(), begin[:, 3].contiguous())
 
     @property

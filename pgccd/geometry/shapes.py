@@ -22,7 +22,7 @@ def box(extents: Sequence[float] | np.ndarray | Tensor) -> Surface:
     sizes = arguments.real_numbers(extents, "extents", "three lengths").double().cpu().numpy()
     if sizes.shape != (3,):
         raise ValueError(f"extents: expected three lengths, got shape {sizes.shape}")
-    sizes = np.array([_size(size, f"extents[{axis}]") for axis, size in enumerate(sizes.tolist())])
+    sizes = np.array([size(each, f"extents[{axis}]") for axis, each in enumerate(sizes.tolist())])
     corners = np.array(list(product((-0.5, 0.5), repeat=3)))
     # Corner number: 4 x + 2 y + z. Each side by its corners, counterclockwise seen from outside.
     sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
@@ -30,9 +30,9 @@ def box(extents: Sequence[float] | np.ndarray | Tensor) -> Surface:
     return corners * sizes, np.array(faces)
 
 
-def sphere(radius: float, subdivisions: int) -> Surface:
-    """An icosahedron, each face divided into four `subdivisions` times. See `Mesh.sphere`."""
-    radius = _size(radius, "radius")
+def icosphere(radius: float, subdivisions: int) -> Surface:
+    """An icosahedron, each face divided into four `subdivisions` times. See `Mesh.icosphere`."""
+    radius = size(radius, "radius")
     subdivisions = arguments.integer(subdivisions, "subdivisions", 0, f"an integer in [0, {_MOST_SUBDIVISIONS}]")
     if subdivisions > _MOST_SUBDIVISIONS:
         raise ValueError(f"subdivisions: expected an integer in [0, {_MOST_SUBDIVISIONS}], got {subdivisions}")
@@ -55,7 +55,7 @@ def sphere(radius: float, subdivisions: int) -> Surface:
 
 def cylinder(radius: float, height: float, sections: int) -> Surface:
     """A prism around the z axis. See `Mesh.cylinder`."""
-    radius, height = _size(radius, "radius"), _size(height, "height")
+    radius, height = size(radius, "radius"), size(height, "height")
     expected = f"an integer in [3, {_MOST_SECTIONS}]"
     sections = arguments.integer(sections, "sections", 3, expected)
     if sections > _MOST_SECTIONS:
@@ -76,11 +76,16 @@ def cylinder(radius: float, height: float, sections: int) -> Surface:
     return np.concatenate([*ends, middles]), np.concatenate([np.stack(columns, axis=1) for columns in triangles])
 
 
-def _size(value: Any, name: str) -> float:
-    size = arguments.number(value, name, _SIZE)
-    if not 0.0 < size < np.inf:
+def size(value: Any, name: str) -> float:
+    """A length > 0.
+
+    Raises:
+        TypeError, ValueError: it is none.
+    """
+    length = arguments.number(value, name, _SIZE)
+    if not 0.0 < length < np.inf:
         raise ValueError(f"{name}: expected {_SIZE}, got {value}")
-    return size
+    return length
 
 
 def _icosahedron_faces(points: np.ndarray) -> np.ndarray:

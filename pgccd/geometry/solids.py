@@ -17,6 +17,8 @@ def opening(faces: np.ndarray) -> str | None:
     Args:
         faces: (F, 3) vertex indices.
     """
+    if (faces[:, 1] == faces[:, 2]).any():
+        return "the mesh has segments or points"
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
     base = int(edges.max()) + 1
     directed = edges[:, 0] * base + edges[:, 1]

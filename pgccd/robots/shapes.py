@@ -93,7 +93,7 @@ def cylinder(radius: float, half_length: float) -> ThickSurface:
 
 def ellipsoid(radii: np.ndarray) -> ThickSurface:
     """A polyhedron around the ellipsoid with these half axes (3,), at most 0.8 % larger."""
-    vertices, faces = shapes.sphere(1.0, _SUBDIVISIONS)
+    vertices, faces = shapes.icosphere(1.0, _SUBDIVISIONS)
     corners = vertices[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)

@@ -41,8 +41,8 @@ def sweep(
         min_separation: length; bodies at most this far apart count as colliding.
         axis: the sweep axis; "auto" selects the one with the largest variance of centres. The result does not depend on
             it.
-        tolerance: length; contacts up to min_separation + tolerance may be reported. Default: 1e-6 of the smaller SBV
-            radius of each pair.
+        tolerance: length; contacts up to min_separation + tolerance may be reported. Default: 1e-6 of the smaller body
+            of each pair, SBV radius and margin.
 
     Returns:
         (P, 2) int64: every pair i < j that the scene's filters allow and whose swept spheres come within min_separation
@@ -133,7 +133,7 @@ def chosen_for(bodies: MovingBodies, broad_phase: BroadPhase) -> BroadPhase:
         return "sweep"
     if bodies.device.type != "cpu":
         return "grid"
-    octaves = {math.frexp(mesh.radius)[1] for mesh in bodies.scene.meshes.meshes}
+    octaves = {math.frexp(mesh.radius + mesh.thickness)[1] for mesh in bodies.scene.meshes.meshes}
     if len(octaves) <= _GRID_OCTAVES:
         return "grid"
     return "lbvh" if bodies.scene.body_count >= _MANY_BODIES else "sweep"

@@ -17,7 +17,7 @@ from pgccd.motion.trajectory import Trajectory
 Initial = Literal["report", "assume_free"]
 INITIALS: tuple[str, ...] = get_args(Initial)
 
-#: The default tolerance, relative to the smaller SBV radius of a pair.
+#: The default tolerance, relative to the smaller body of a pair, SBV radius and margin.
 RELATIVE_TOLERANCE = 1e-6
 
 
@@ -46,7 +46,7 @@ def warn_of_rounded_positions(scene: Scene, motion: RigidMotion | VertexMotion |
         ends = torch.stack([motion.position_t0, motion.position_t1])
     largest = ends.detach().abs().amax(dim=(0, 2)).to(torch.float32)
     unit = (torch.nextafter(largest, torch.full_like(largest, torch.inf)) - largest).to(torch.float64)
-    radius = scene.radius
+    radius = scene._size
     is_lost = (radius > 0.0) & (radius <= FEW_UNITS * unit)
     if bool(is_lost.any()):
         body = int(is_lost.long().argmax())

@@ -365,7 +365,7 @@ def _distances(mesh: pgccd.Mesh, hits: pgccd.Contacts, corners: Tensor) -> Tenso
 
 
 def test_rates_have_gradients(device: torch.device) -> None:
-    scene = pgccd.Scene([pgccd.Mesh.sphere(0.5, 1), CUBE], device=device)
+    scene = pgccd.Scene([pgccd.Mesh.icosphere(0.5, 1), CUBE], device=device)
     x = torch.tensor([[0.0, 0, 2.0], [0.1, 0.07, 0]], device=device).double()
     q = torch.tensor([UPRIGHT, (0.8, 0.6, 0.0, 0.0)], device=device).double()
 

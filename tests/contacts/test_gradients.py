@@ -161,7 +161,7 @@ def test_two_balls(device: torch.device) -> None:
     at its velocity, continued from the place of contact: x1' = x1 + toi v1 + (1 - toi) v2, and x2' likewise.
     """
     # Balls as points with margins: exact.
-    ball = pgccd.Mesh.sphere(1e-3, subdivisions=0)
+    ball = pgccd.Mesh.icosphere(1e-3, subdivisions=0)
     x = torch.tensor([[0.0, 0.0, 0.0], [1.5, 0.0, 0.0]], dtype=torch.float64, device=device, requires_grad=True)
     v = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, 0.0]], dtype=torch.float64, device=device, requires_grad=True)
     bodies = pgccd.Scene([ball], [0, 0], device, margin=0.5)

@@ -98,7 +98,7 @@ def test_convex_edges_keep_theirs(kind: Kind, device: torch.device) -> None:
 
 def test_tips_keep_theirs(device: torch.device) -> None:
     """The normal between two tips, which lies inside the cones of both, is that of the vertices."""
-    tip = pgccd.Mesh.sphere(0.5, 0)
+    tip = pgccd.Mesh.icosphere(0.5, 0)
     at = tip.vertices[0] / tip.vertices[0].norm()
     aside = torch.linalg.cross(at, torch.tensor([0.3, -0.5, 0.2]).double())
     apart = 1.01 * at + 0.001 * aside
@@ -117,7 +117,7 @@ def test_tips_keep_theirs(device: torch.device) -> None:
 
 def test_first_contacts_of_convex_bodies_have_the_same_normals() -> None:
     random = torch.Generator().manual_seed(3)
-    shapes = [CUBE, pgccd.Mesh.sphere(0.6, 1), box((0.8, 0.3, 0.2))]
+    shapes = [CUBE, pgccd.Mesh.icosphere(0.6, 1), box((0.8, 0.3, 0.2))]
     count = 200
     x0 = torch.randn(2 * count, 3, generator=random, dtype=torch.float64) * 0.1
     x0[1::2] += 2.5 * torch.nn.functional.normalize(torch.randn(count, 3, generator=random, dtype=torch.float64))
@@ -175,7 +175,7 @@ def test_same_bits_on_a_gpu(path: str) -> None:
     v, w = torch.randn(2, count, 3, generator=random, dtype=torch.float64)
     columns = []
     for device in ("cpu", "cuda"):
-        scene = pgccd.Scene([pgccd.Mesh.sphere(0.2, 2), box((0.2, 0.2, 0.1))], [0, 1] * (count // 2), device=device)
+        scene = pgccd.Scene([pgccd.Mesh.icosphere(0.2, 2), box((0.2, 0.2, 0.1))], [0, 1] * (count // 2), device=device)
         motion = pgccd.RigidMotion.from_velocity(*(t.to(device) for t in (x, q, v, w)), dt=0.3, path=path)  # type: ignore[arg-type]
         columns.append(pgccd.detect(scene, motion, "all", 1e-2, normals="surface").to("cpu"))
     assert len(columns[0]) > 100 and columns[0] == columns[1]

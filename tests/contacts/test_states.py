@@ -24,7 +24,7 @@ def scattered(count: int, device: torch.device, seed: int = 0) -> tuple[pgccd.Sc
     def normal(*shape: int) -> Tensor:
         return torch.randn(*shape, dtype=torch.float64, generator=random).to(device)
 
-    shapes = [*meshes()[:2], pgccd.Mesh.sphere(0.7, 1, origin=(0.3, 0.1, 1e-3))]
+    shapes = [*meshes()[:2], pgccd.Mesh.icosphere(0.7, 1, origin=(0.3, 0.1, 1e-3))]
     index = torch.randint(0, 3, (count,), generator=random).to(device)
     rows = torch.arange(count, device=device)
     scene = pgccd.Scene(

@@ -214,7 +214,7 @@ def test_the_nearest_that_the_faces_admit(shape: str, support: str) -> None:
 @pytest.mark.parametrize("subdivisions", [1, 2, 3])
 def test_spheres_that_meet_at_vertices(subdivisions: int) -> None:
     """The normal is along the line of centres, whatever features the search names."""
-    mesh = pgccd.Mesh.sphere(1.3, subdivisions=subdivisions)
+    mesh = pgccd.Mesh.icosphere(1.3, subdivisions=subdivisions)
     vertices = mesh.vertices[torch.randperm(len(mesh.vertices), generator=torch.Generator().manual_seed(1))[:40]]
     count = len(vertices)
     x = torch.stack([0.0 * vertices, 2.5 * vertices], 1).view(-1, 3)

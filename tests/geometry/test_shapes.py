@@ -35,7 +35,7 @@ def test_box() -> None:
 
 @pytest.mark.parametrize("subdivisions", range(5))
 def test_sphere(subdivisions: int) -> None:
-    mesh = pgccd.Mesh.sphere(0.3, subdivisions)
+    mesh = pgccd.Mesh.icosphere(0.3, subdivisions)
     require_closed(mesh)
     assert len(mesh.faces) == 20 * 4**subdivisions
     assert torch.allclose(mesh.vertices.norm(dim=1), torch.tensor(0.3, dtype=torch.float64), rtol=1e-15)
@@ -64,10 +64,10 @@ def test_cylinder(sections: int) -> None:
         (lambda: pgccd.Mesh.box([1.0, 2.0]), "extents"),
         (lambda: pgccd.Mesh.box([1.0, 0.0, 1.0]), r"extents\[1\]"),
         (lambda: pgccd.Mesh.box([1.0, 1.0, math.inf]), r"extents\[2\]"),
-        (lambda: pgccd.Mesh.sphere(-1.0), "radius"),
-        (lambda: pgccd.Mesh.sphere("1"), "radius"),  # type: ignore[arg-type]
-        (lambda: pgccd.Mesh.sphere(1.0, 9), "subdivisions"),
-        (lambda: pgccd.Mesh.sphere(1.0, 1.5), "subdivisions"),  # type: ignore[arg-type]
+        (lambda: pgccd.Mesh.icosphere(-1.0), "radius"),
+        (lambda: pgccd.Mesh.icosphere("1"), "radius"),  # type: ignore[arg-type]
+        (lambda: pgccd.Mesh.icosphere(1.0, 9), "subdivisions"),
+        (lambda: pgccd.Mesh.icosphere(1.0, 1.5), "subdivisions"),  # type: ignore[arg-type]
         (lambda: pgccd.Mesh.cylinder(math.nan, 1.0), "radius"),
         (lambda: pgccd.Mesh.cylinder(1.0, 0.0), "height"),
         (lambda: pgccd.Mesh.cylinder(1.0, 1.0, 2), "sections"),
@@ -83,7 +83,7 @@ def test_origins() -> None:
     for mesh in (
         pgccd.Mesh.box([0.2, 0.2, 1.0], origin=joint),
         pgccd.Mesh.cylinder(0.1, 1.0, origin=joint),
-        pgccd.Mesh.sphere(0.5, origin=joint),
+        pgccd.Mesh.icosphere(0.5, origin=joint),
     ):
         assert mesh.origin.tolist() == [0.0, 0.0, -0.5]
         assert float(mesh.vertices[:, 2].amin()) == pytest.approx(0.0, abs=0.01)

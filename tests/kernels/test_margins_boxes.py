@@ -186,7 +186,7 @@ def test_at_two_times() -> None:
 def test_points_without_boxes() -> None:
     """A ball beside a rod, off its sides, edges and corners."""
     rng = np.random.default_rng(6)
-    rod, ball = pgccd.Mesh.box([6.0, 0.5, 0.3]), pgccd.Mesh.sphere(1.0, 1)
+    rod, ball = pgccd.Mesh.box([6.0, 0.5, 0.3]), pgccd.Mesh.icosphere(1.0, 1)
     scene = pgccd.Scene([rod, ball], [0, 1])
     half = np.array([3.0, 0.25, 0.15])
     for _ in range(100):

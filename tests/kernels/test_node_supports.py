@@ -224,7 +224,7 @@ def test_tips_slightly_apart(device: torch.device, gap: float) -> None:
 def test_few_splits(device: torch.device) -> None:
     """Of ellipsoids with overlapping spheres. Spheres and slabs alone need 330 tests a pair."""
     rng = np.random.default_rng(6)
-    ball = pgccd.Mesh.sphere(1.0, 3)
+    ball = pgccd.Mesh.icosphere(1.0, 3)
     mesh = pgccd.Mesh(ball.vertices.numpy() * [1.0, 0.5, 0.3], ball.faces)
     n = 40
     position = np.zeros((n, 2, 3))

@@ -158,7 +158,7 @@ def test_environments_say_nothing_about_others(tmp_path: Path, device: torch.dev
     position = torch.tensor(rng.normal(size=(count, 3, 3)))
     position *= 1.1 / position.norm(dim=2, keepdim=True)
     orientation = torch.tensor([1.0, 0, 0, 0], dtype=torch.float64).expand(count, 3, 4).clone()
-    meshes = [pgccd.Mesh.box([0.3, 0.2, 0.4]), pgccd.Mesh.sphere(0.2, 1), pgccd.Mesh.box([0.1, 0.6, 0.1])]
+    meshes = [pgccd.Mesh.box([0.3, 0.2, 0.4]), pgccd.Mesh.icosphere(0.2, 1), pgccd.Mesh.box([0.1, 0.6, 0.1])]
     whole = robot.certify(q.to(device), Obstacles(meshes, position, orientation))
     for b in range(count):
         obstacles = Obstacles(meshes, position[b], orientation[b])

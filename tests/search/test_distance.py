@@ -187,7 +187,7 @@ def test_the_reach_of_a_fast_body_bounds_its_distance(path: str) -> None:
 def test_a_search_that_is_cut_off_has_a_coarse_lower_bound() -> None:
     """A sphere turns within another one: very many triangles are equally near at all times."""
     rest = np.zeros((2, 3))
-    spheres = [pgccd.Mesh.sphere(radius, 4) for radius in (1.0, 1.05)]
+    spheres = [pgccd.Mesh.icosphere(radius, 4) for radius in (1.0, 1.05)]
     bodies = Moving(spheres, rest, np.tile(UPRIGHT, (2, 1)), rest, np.array([[0.0, 0, 1.0], [0.0, 0, 0]]))
     found = bodies.distance(tolerance=0.0)
     assert not found.converged.item() and 0.005 < found.lower.item() <= 0.05 <= found.upper.item() + 1e-2

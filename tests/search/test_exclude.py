@@ -89,7 +89,7 @@ def test_resolution_and_containment_follow_excluded_pairs() -> None:
     padded = pgccd.resolve(free, motion, capacity=pgccd.Capacity.of(4000))
     assert bool((padded.fraction == 1.0).all()) and not bool(padded.incomplete)
     assert not bool((pgccd.resolve(scene, motion).fraction == 1.0).all())
-    nested = [pgccd.Mesh.box([2.0, 2.0, 2.0]), pgccd.Mesh.sphere(0.2)]
+    nested = [pgccd.Mesh.box([2.0, 2.0, 2.0]), pgccd.Mesh.icosphere(0.2)]
     x, q = torch.zeros(2, 3), torch.tensor([[1.0, 0, 0, 0]]).repeat(2, 1)
     at_rest = pgccd.RigidMotion.at_rest(x, q)
     assert pgccd.enclosed(pgccd.Scene(nested), at_rest).tolist() == [[1, 0]]

@@ -251,7 +251,7 @@ def many_at_the_start(
     depth: float, separation: float, device: torch.device
 ) -> tuple[pgccd.Scene, pgccd.RigidMotion, pgccd.Contacts]:
     """Spheres of which thousands of features touch at t = 0, or stay a little apart; and all contacts."""
-    sphere = pgccd.Mesh.sphere(1.0)
+    sphere = pgccd.Mesh.icosphere(1.0)
     start = torch.tensor([[0.0, 0.0, 0.0], [2.0 - depth, 0.05, 0.02], [-0.5, 0.1, -1.8]], dtype=torch.float64)
     unit = torch.tensor([[1.0, 0.0, 0.0, 0.0]] * 3, dtype=torch.float64)
     step = torch.tensor([[0.02, 0.0, 0.0], [0.0, 0.01, 0.0], [0.0, 0.0, 0.0]], dtype=torch.float64)
@@ -297,7 +297,7 @@ def test_one_vertex_touches_faces_of_many_leaves(report: narrow.Report, device: 
     """The smallest vertex of a box is near all faces of a sphere, in more leaves than one batch."""
     start = torch.tensor([[0.0, 0.0, 0.0], [1.3, 0.0, 0.0]], dtype=torch.float64)
     unit = torch.tensor([[1.0, 0.0, 0.0, 0.0]] * 2, dtype=torch.float64)
-    scene = pgccd.Scene([pgccd.Mesh.box([0.1, 0.1, 0.1]), pgccd.Mesh.sphere(1.0)], device=device)
+    scene = pgccd.Scene([pgccd.Mesh.box([0.1, 0.1, 0.1]), pgccd.Mesh.icosphere(1.0)], device=device)
     motion = pgccd.RigidMotion(start, unit, start, unit).to(device)
     found, every = (detected(scene, motion, each, 3.0) for each in (report, "all"))
     assert_same(found, every[first_rows(every, report)])
@@ -310,7 +310,7 @@ def test_many_bodies_that_intersect(threads: int, device: torch.device) -> None:
     random = np.random.default_rng(3)
     start = torch.from_numpy(random.uniform(0.0, 4.0, (40, 3)))
     unit = torch.tensor([[1.0, 0.0, 0.0, 0.0]] * 40, dtype=torch.float64)
-    scene = pgccd.Scene([pgccd.Mesh.sphere(1.0)], [0] * 40, device=device)
+    scene = pgccd.Scene([pgccd.Mesh.icosphere(1.0)], [0] * 40, device=device)
     step = torch.from_numpy(random.normal(0.0, 0.05, (40, 3)))
     motion = pgccd.RigidMotion(start, unit, start + step, unit).to(device)
     before = torch.get_num_threads()

@@ -76,7 +76,7 @@ def spheres(count: int, subdivisions: int) -> tuple[pgccd.Scene, pgccd.RigidMoti
     random = torch.Generator().manual_seed(2)
     x, v, w = (torch.randn(count, 3, generator=random, dtype=torch.float64) for _ in range(3))
     q = torch.nn.functional.normalize(torch.randn(count, 4, generator=random, dtype=torch.float64))
-    scene = pgccd.Scene([pgccd.Mesh.sphere(1.0, subdivisions)], [0] * count)
+    scene = pgccd.Scene([pgccd.Mesh.icosphere(1.0, subdivisions)], [0] * count)
     return scene, pgccd.RigidMotion.from_rotation(0.7 * x, q, 0.7 * x + v, 3.0 * w)
 
 

@@ -121,7 +121,7 @@ def test_few_pairs_are_searched_in_vain(device: torch.device, aspect: float, def
 
 def test_meshes_that_fill_their_spheres_have_no_boxes() -> None:
     rng = np.random.default_rng(2)
-    ball = pgccd.Mesh.sphere(1.0, 2)
+    ball = pgccd.Mesh.icosphere(1.0, 2)
     for mesh in (ball, bumpy(rng, 2), pgccd.Mesh.box([1.0, 1.0, 1.0]), pgccd.Mesh.box([2.0, 1.0, 1.0])):
         scene = pgccd.Scene([mesh])
         assert not scene.meshes.has_boxes

@@ -281,7 +281,7 @@ def test_what_follows_from_it(device: torch.device) -> None:
 def test_marks_of_meshes() -> None:
     box, sheet = pgccd.Mesh.box([1.0, 2.0, 3.0]), ([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
     assert not box.solid and box.as_solid().solid and not box.as_solid().as_solid(False).solid
-    assert pgccd.Mesh.box([1.0, 1, 1], solid=True).solid and pgccd.Mesh.sphere(1.0, solid="auto").solid
+    assert pgccd.Mesh.box([1.0, 1, 1], solid=True).solid and pgccd.Mesh.icosphere(1.0, solid="auto").solid
     assert pgccd.Mesh.cylinder(1.0, 1.0, solid="auto").solid
     inwards = pgccd.Mesh(box.vertices, box.faces.flip(1), solid="auto")
     assert not inwards.solid and inwards.as_solid().solid

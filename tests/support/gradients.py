@@ -26,7 +26,7 @@ def meshes() -> list[pgccd.Mesh]:
     """A tetrahedron, a box and a sphere, of similar size."""
     corners = [[-0.5, -0.4, -0.3], [1.0, -0.2, 0.1], [-0.3, 0.9, 0.0], [0.0, 0.1, 1.1]]
     tetrahedron = pgccd.Mesh(corners, [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
-    return [tetrahedron, pgccd.Mesh.box([1.4, 1.0, 0.8]), pgccd.Mesh.sphere(0.8, subdivisions=1)]
+    return [tetrahedron, pgccd.Mesh.box([1.4, 1.0, 0.8]), pgccd.Mesh.icosphere(0.8, subdivisions=1)]
 
 
 @dataclass

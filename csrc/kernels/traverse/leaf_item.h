@@ -37,8 +37,17 @@ PGCCD_HD void triangle_at_start(const PairTree<Bodies>& tree, int side, int32_t 
 constexpr int kFirstEdgeBit = 6;
 constexpr int kFeaturePairBits = 15;
 
+// A vertex and a face that is a segment or a point need a test only if the vertex is that of a point: other vertices are
+// ends of an edge, which is tested against the segment, or, if the face is a point, belong to elements that are. Two
+// points are tested once.
 PGCCD_HD uint32_t represented_pairs(const Triangle& ti, const Triangle& tj) {
-  uint32_t bits = static_cast<uint32_t>((ti.represented & 7) | ((tj.represented & 7) << 3));
+  const ElementKind kind_i = ti.kind(), kind_j = tj.kind();
+  const bool is_point_i = kind_i == ElementKind::kPoint, is_point_j = kind_j == ElementKind::kPoint;
+  uint32_t bits = 0;
+  if (kind_j == ElementKind::kTriangle || is_point_i) bits |= static_cast<uint32_t>(ti.represented & 7);
+  if (kind_i == ElementKind::kTriangle || (is_point_j && !is_point_i)) {
+    bits |= static_cast<uint32_t>(tj.represented & 7) << 3;
+  }
   const uint32_t edges_j = static_cast<uint32_t>(tj.represented >> 3) & 7u;
   for (int c = 0; c < 3; ++c) {
     if (ti.represented & (8 << c)) bits |= edges_j << (6 + 3 * c);
@@ -66,7 +75,9 @@ PGCCD_HD uint32_t pairs_without_common_vertex(const Triangle& ti, const Triangle
 constexpr int kCrossingBits = 6;
 
 PGCCD_HD uint32_t represented_crossings(const Triangle& ti, const Triangle& tj, bool is_one_body) {
-  const uint32_t bits = static_cast<uint32_t>((ti.represented >> 3 & 7) | (tj.represented >> 3 & 7) << 3);
+  uint32_t bits = 0;
+  if (tj.kind() == ElementKind::kTriangle) bits |= static_cast<uint32_t>(ti.represented >> 3 & 7);
+  if (ti.kind() == ElementKind::kTriangle) bits |= static_cast<uint32_t>(tj.represented >> 3 & 7) << 3;
   if (!is_one_body) return bits;
   uint32_t common_i = 0, common_j = 0;  // corners
   for (int c = 0; c < 3; ++c) {

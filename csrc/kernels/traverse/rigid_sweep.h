@@ -52,6 +52,8 @@ struct alignas(16) RigidSweep : PairFrame {
   float inflation;  // distance to keep, chord deviation and rounding, local units
   float growth[2];  // see `slab_growth`
   int segment_count;
+  int32_t corner_count[2];  // elements that have rows of corners, from first_corner on
+  int64_t first_corner[2];
   float start_distance;
   float segment_deviation;  // of the chords of one segment, local units
 
@@ -74,8 +76,10 @@ struct alignas(16) RigidSweep : PairFrame {
       const double rho_i = path.from_axis[0] + ri, rho_j = path.from_axis[1] + rj;
       const double bend = 0.125 * (horizon * horizon) * (turn_i * rho_i + turn_j * rho_j);
       // Chords may deviate by a fiftieth of the smaller body; with the largest segment count they may deviate further,
-      // which is still covered. It is in proportion to the turn, however small a body is.
-      const double wanted = std::sqrt(bend / (0.02 * smaller(ri, rj)));
+      // which is still covered. It is in proportion to the turn, however small a body is. A body may be a point.
+      const double size_i = size_of(centres, i), size_j = size_of(centres, j);
+      const double size = larger(smaller(size_i, size_j), 0x1p-10 * larger(size_i, size_j));
+      const double wanted = std::sqrt(bend / (0.02 * size));
       const double most =
           sweep_detail::most_segments(horizon * std::sqrt(larger(turn_i, turn_j)), settings.divides_time);
       if (wanted > segment_count) {
@@ -88,6 +92,9 @@ struct alignas(16) RigidSweep : PairFrame {
     segment_deviation = sweep_detail::rounded_up(scale * deviation);
     start_distance = sweep_detail::start_distance(settings, scale * path.rounding);
     for (int side = 0; side < 2; ++side) {
+      const MeshOffsets* rows = bodies.meshes.offsets + bodies.mesh_index[body[side]];
+      first_corner[side] = rows[0].corners;
+      corner_count[side] = static_cast<int32_t>(rows[1].corners - rows[0].corners) - kBlockWidth;
       const double angle = norm(load_vec3(bodies.rotation + 3 * body[side]));
       const double whole_change = smaller(angle, 2.0), change = smaller(horizon * angle / segment_count, 2.0);
       growth[side] = sweep_detail::rounded_up(bodies.linear_path ? 1.5 * horizon * whole_change : 0.5 * change);
@@ -179,12 +186,38 @@ struct alignas(16) RigidSweep : PairFrame {
   // Corners of one triangle, or (T = Float8) of eight successive ones.
   template <class T>
   PGCCD_HD Corners<T> corners(const RigidBodies& bodies, int side, int32_t triangle, int) const {
+    if (triangle >= corner_count[side]) return corners_of_points<T>(bodies, side, triangle);
     const CornerColumns& columns = bodies.meshes.corners;
-    const int64_t row = first_face[side] + triangle;
+    const int64_t row = first_corner[side] + triangle;
     const auto column = [&](int index) { return load<T>(columns.first + index * columns.stride + row); };
     Corners<T> out;
     for (int c = 0; c < 3; ++c) out.corner[c] = {column(3 * c), column(3 * c + 1), column(3 * c + 2)};
     return out;
+  }
+
+ private:
+  // Of points, which have no rows of corners. Lanes beyond the last one repeat it.
+  template <class T>
+  PGCCD_HD Corners<T> corners_of_points(const RigidBodies& bodies, int side, int32_t triangle) const {
+    const MeshOffsets* rows = bodies.meshes.offsets + bodies.mesh_index[body[side]];
+    const Vec3<double> centre = mesh_centre(bodies, body[side]);
+    const auto point = [&](int64_t element) {
+      const int64_t row = smaller(rows[0].face + element, rows[1].face - 1);
+      const int64_t vertex = rows[0].vertex + bodies.meshes.triangles[row].vertex[0];
+      return cast<float>(load_vec3(bodies.meshes.vertices + 3 * vertex) - centre);
+    };
+    Vec3<T> at;
+    if constexpr (sizeof(T) == sizeof(float)) {
+      at = point(triangle);
+    } else {
+      for (int lane = 0; lane < kLanes; ++lane) {
+        const Vec3<float> x = point(int64_t{triangle} + lane);
+        at.x[lane] = x.x;
+        at.y[lane] = x.y;
+        at.z[lane] = x.z;
+      }
+    }
+    return {{at, at, at}};
   }
 };
 

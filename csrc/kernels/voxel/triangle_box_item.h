@@ -27,7 +27,7 @@ void for_each_triangle_box(const VoxelBodies& input, int64_t body, std::vector<C
   const SineCosine turn = sine_cosine(spin.angle);
   const double reach = mesh_reach(bodies, body);
   // Half of the sum of two bodies' own tolerances is at least that of the smaller one.
-  const double tolerance = input.tolerance < 0.0 ? -input.tolerance * bodies.centres.radius[body] : input.tolerance;
+  const double tolerance = input.tolerance < 0.0 ? -input.tolerance * size_of(bodies.centres, body) : input.tolerance;
   const double margin = bodies.centres.margin == nullptr ? 0.0 : bodies.centres.margin[body];
   // Errors of offsets, of adding them to positions, and of boxes in float32.
   const double farthest = larger(max_abs(p0), max_abs(p1)) + reach;
