@@ -19,7 +19,7 @@ from pgccd.motion.of_scene import at_start
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.vectors import norm
 from pgccd.search.bodies import MovingBodies
-from pgccd.search.checks import RELATIVE_TOLERANCE, check_pairs, warn_of_rounded_positions
+from pgccd.search.checks import check_pairs, warn_of_rounded_positions
 from pgccd.search.detect import detect_moving
 from pgccd.search.distance import distance
 from pgccd.search.query import Query
@@ -131,7 +131,7 @@ def exit_distance(
         pairs = pairs[pairs[:, 0] != pairs[:, 1]]
     moved = _MovedApart.of(bodies, pairs, unit.expand(len(pairs), 3).contiguous(), query.lengths[0])
     upper = moved.upper(query)
-    lower = moved.lower(upper, query.lengths[0], tolerance)
+    lower = moved.lower(upper, *query.lengths)
     warn_of_rounded_positions(scene, motion)
     return ExitDistances(pairs=pairs, lower=lower, upper=upper, direction=moved.direction)
 
@@ -151,7 +151,8 @@ def _unit_vectors(direction: Tensor | Any, device: torch.device) -> Tensor:
     if not bool(sound.all()):
         row = int((~sound).reshape(-1).long().argmax())
         where = f"row {row}: " if given.dim() == 2 else ""
-        raise ValueError(f"direction: {where}expected finite numbers, not all 0, got {given.reshape(-1, 3)[row].tolist()}")
+        found = given.reshape(-1, 3)[row].tolist()
+        raise ValueError(f"direction: {where}expected finite numbers, not all 0, got {found}")
     # Squares of the largest numbers would overflow, and those of the smallest vanish.
     scaled = given / largest
     return scaled / norm(scaled)[..., None]
@@ -212,9 +213,11 @@ class _MovedApart:
         found[row] = torch.where(hits.toi < 1.0, left, 0.0)
         return found
 
-    def lower(self, upper: Tensor, separation: float, tolerance: float | None) -> Tensor:
-        """(P,): translations of at most `upper` at which bodies certainly touch; 0 if none is found."""
-        step = RELATIVE_TOLERANCE * self.radius if tolerance is None else torch.full_like(self.radius, tolerance)
+    def lower(self, upper: Tensor, separation: float, tolerance: float) -> Tensor:
+        """(P,): translations of at most `upper` at which bodies certainly touch; 0 if none is found. A negative
+        tolerance is relative to the radius.
+        """
+        step = -tolerance * self.radius if tolerance < 0.0 else torch.full_like(self.radius, tolerance)
         step = torch.maximum(step, _WAY * self.way)
         found = torch.zeros_like(upper)
         rows = torch.nonzero(upper > step)[:, 0]
@@ -275,8 +278,8 @@ class _MovedApart:
 
 
 def _placed(first: Tensor, second: Tensor, shift: Tensor, rest: Tensor) -> Tensor:
-    """(2 K, 3) positions of pairs of bodies at (K, 3) each, the second translated by shift + rest. Their offset is exact
-    to within 2^-104 of its parts: the first body takes what rounding leaves, and the pair is near the origin.
+    """(2 K, 3) positions of pairs of bodies at (K, 3) each, the second translated by shift + rest. Their offset is
+    exact to within 2^-104 of its parts: the first body takes what rounding leaves, and the pair is near the origin.
     """
     offset, low = _sum(second, -first)
     offset, lower = _sum(offset, shift)
