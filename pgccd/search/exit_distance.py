@@ -30,6 +30,10 @@ _POINTS = 2.0**-48
 _WAY = 2.0**-40
 # By how much later steps back from the upper bound are longer than those before.
 _LONGER = 4.0
+# Of bodies with more pairs of faces than this the way is halved a few times before it is searched: where they overlap
+# deeply, very many features meet.
+_FEW_FACES = 1 << 12
+_HALVINGS = 6
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -130,8 +134,9 @@ def exit_distance(
         pairs = detect_moving(bodies, Query("any", query.min_separation, tolerance, False)).pairs
         pairs = pairs[pairs[:, 0] != pairs[:, 1]]
     moved = _MovedApart.of(bodies, pairs, unit.expand(len(pairs), 3).contiguous(), query.lengths[0])
-    upper = moved.upper(query)
-    lower = moved.lower(upper, *query.lengths)
+    below = moved.halved(query.lengths[0])
+    upper = moved.upper(query, below)
+    lower = moved.lower(below, upper, *query.lengths)
     warn_of_rounded_positions(scene, motion)
     return ExitDistances(pairs=pairs, lower=lower, upper=upper, direction=moved.direction)
 
@@ -197,36 +202,46 @@ class _MovedApart:
             raise ValueError(f"motion: bodies {pairs[row].tolist()} would {furthest}, if they were moved apart")
         return cls(bodies.scene, still, pairs, direction, way, stray, bodies.radius[pairs].amin(dim=1))
 
-    def upper(self, query: Query) -> Tensor:
-        """(P,): translations beyond which bodies are certainly apart."""
+    def halved(self, separation: float) -> Tensor:
+        """(P,): translations at which bodies of many faces certainly touch, few of them near the last one; others 0."""
+        below, above = torch.zeros_like(self.way), self.way
+        faces = self.scene.meshes.offsets.diff(dim=0)[:, 1].to(below.device)[self.scene.mesh_index.long()]
+        rows = torch.nonzero(faces[self.pairs].prod(dim=1) > _FEW_FACES)[:, 0]
+        for _ in range(_HALVINGS if len(rows) else 0):
+            middle = 0.5 * (below + above)
+            touches = torch.zeros_like(below, dtype=torch.bool)
+            touches[rows] = self._touches(rows, middle[rows], separation)
+            below, above = torch.where(touches, middle, below), torch.where(touches, above, middle)
+        return below
+
+    def upper(self, query: Query, below: Tensor) -> Tensor:
+        """(P,): translations, not less than `below`, beyond which bodies are certainly apart."""
         rows = torch.arange(len(self.pairs), device=self.pairs.device)
         # Back from where they are apart: what happens before the first contact happens beyond the last translation that
         # touches.
-        motion = self._motion(rows, self.way, torch.zeros_like(self.way))
-        moving = MovingBodies.of(self._scene(rows, self.stray), motion)
+        moving = MovingBodies.of(self._scene(rows, self.stray), self._motion(rows, self.way, below))
         hits = detect_moving(moving, query, pairs=self._local_pairs(rows))
         assert isinstance(hits, Contacts)
-        above = torch.full_like(hits.toi, torch.inf)
         row = hits.pairs[:, 0] // 2
-        left = torch.nextafter(self.way[row] * torch.nextafter(1.0 - hits.toi, above), above)
-        found = torch.zeros_like(self.way)
-        found[row] = torch.where(hits.toi < 1.0, left, 0.0)
+        left = _above(_above(self.way - below)[row] * _above(1.0 - hits.toi))
+        found = below.clone()
+        found[row] = torch.where(hits.toi < 1.0, _above(below[row] + left), below[row])
         return found
 
-    def lower(self, upper: Tensor, separation: float, tolerance: float) -> Tensor:
-        """(P,): translations of at most `upper` at which bodies certainly touch; 0 if none is found. A negative
-        tolerance is relative to the radius.
+    def lower(self, below: Tensor, upper: Tensor, separation: float, tolerance: float) -> Tensor:
+        """(P,): translations from `below`, at which bodies touch or which is 0, to `upper`, at which they certainly
+        touch. A negative tolerance is relative to the radius.
         """
         step = -tolerance * self.radius if tolerance < 0.0 else torch.full_like(self.radius, tolerance)
         step = torch.maximum(step, _WAY * self.way)
-        found = torch.zeros_like(upper)
-        rows = torch.nonzero(upper > step)[:, 0]
+        found = below.clone()
+        rows = torch.nonzero(upper - step > below)[:, 0]
         while len(rows):
             moved = (upper - step)[rows]
             touches = self._touches(rows, moved, separation)
             found[rows[touches]] = moved[touches]
             rows, step = rows[~touches], _LONGER * step
-            rows = rows[(upper > step)[rows]]
+            rows = rows[(upper - step > below)[rows]]
         return found
 
     def _touches(self, rows: Tensor, moved: Tensor, separation: float) -> Tensor:
@@ -275,6 +290,11 @@ class _MovedApart:
             of_bodies = torch.stack([torch.zeros_like(shift), shift], 1).reshape(-1, 3)
             ends.append(vertices + of_bodies.repeat_interleave(count, dim=0))
         return VertexMotion._of_checked(*ends)
+
+
+def _above(values: Tensor) -> Tensor:
+    """The next larger numbers."""
+    return torch.nextafter(values, torch.full_like(values, torch.inf))
 
 
 def _placed(first: Tensor, second: Tensor, shift: Tensor, rest: Tensor) -> Tensor:

@@ -12,6 +12,7 @@ import pytest
 import torch
 from oracle.exit import Vector, exactly, exit_of, meeting, placed
 from support.cases import mostly_slow
+from support.deforming import crumpled, motion_of
 from support.shapes import bumpy, directions, icosphere, tetrahedron, unit_quaternions
 
 import pgccd
@@ -228,6 +229,21 @@ def test_filters_count_unless_pairs_are_given() -> None:
     assert len(pgccd.exit_distance(scene, still, [1, 0, 0], pairs=torch.tensor([[0, 1], [0, 2]]))) == 2
 
 
+def test_default_pairs_are_those_of_collide() -> None:
+    """Within the separation; and of bodies that also touch themselves only pairs of two."""
+    boxes = pgccd.Scene([pgccd.Mesh.box([1.0] * 3)], [0, 0])
+    x = torch.tensor([[0.0, 0, 0], [1.05, 0.1, 0.2]])
+    still = pgccd.RigidMotion.at_rest(x, torch.tensor([UPRIGHT] * 2))
+    assert len(pgccd.exit_distance(boxes, still, [1, 0, 0])) == 0
+    found = pgccd.exit_distance(boxes, still, [1, 0, 0], min_separation=0.1)
+    assert_encloses(found, [1 + Fraction(0.1) - Fraction(float(x[1, 0]))], within=1e-5)
+    meshes, ends = crumpled(2)
+    scene, motion = pgccd.Scene(meshes, self_collision=True), motion_of(*ends, device=torch.device("cpu"))
+    at_start = pgccd.VertexMotion(motion.x_t0, motion.x_t0)
+    assert [0, 0] in pgccd.collide(scene, at_start).pairs.tolist()
+    assert pgccd.exit_distance(scene, motion, [1, 0, 0]).pairs.tolist() == [[0, 1]]
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_apart_beyond_the_upper_bound_and_touching_at_the_lower_one(seed: int) -> None:
     """Of any shapes, by `collide` and `distance` of the translated bodies, rounded to float64."""
@@ -339,6 +355,27 @@ def test_bodies_that_fill_their_spheres(size: float) -> None:
         beyond = Two(two.meshes, np.stack([0.0 * axis, -3.0 * axis]))
         found = beyond.found(axis)
         assert Fraction(float(found.upper)) >= 4 + Fraction(size) == beyond.exactly(found.direction[0])
+
+
+def test_ways_of_many_faces_are_halved(monkeypatch: pytest.MonkeyPatch) -> None:
+    """First to a place where few faces meet: the bounds are those of the whole way, to within rounding."""
+    rng = np.random.default_rng(5)
+    ball = bumpy(rng, 2)
+    dumbbell = joined(ball, bumpy(rng, 2), at=[[0.0, 0, 0], [4.0, 0.3, 0]])
+    scene = pgccd.Scene([ball, dumbbell, bumpy(rng, 2, size=0.5)], [1, 2, 0, 2, 0, 0])
+    place = 0.3 * rng.normal(size=(6, 3))
+    still = pgccd.RigidMotion.at_rest(torch.tensor(place), torch.tensor(unit_quaternions(rng, 6)))
+    pairs = torch.tensor([[0, 1], [2, 3], [4, 5], [0, 2]]).repeat_interleave(4, dim=0)
+    towards = torch.tensor(directions(rng, 16))
+    found = pgccd.exit_distance(scene, still, towards, pairs=pairs)
+    monkeypatch.setattr("pgccd.search.exit_distance._HALVINGS", 0)
+    whole = pgccd.exit_distance(scene, still, towards, pairs=pairs)
+    assert torch.allclose(found.upper, whole.upper, rtol=0.0, atol=1e-9)
+    assert (found.upper - found.lower).max() < 1e-4 and found.upper.max() > 3.0
+    # Steps back that are longer than what is known are not made.
+    monkeypatch.undo()
+    coarse = pgccd.exit_distance(scene, still, towards, pairs=pairs, tolerance=100.0)
+    assert (coarse.lower > 0.9 * found.lower).all() and (coarse.lower <= whole.upper).all()
 
 
 def test_aligned_boxes_only_touch() -> None:
