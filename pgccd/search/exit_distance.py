@@ -24,9 +24,9 @@ from pgccd.search.detect import detect_moving
 from pgccd.search.distance import distance
 from pgccd.search.query import Query
 
-# See section 17 of docs/explanation/exactness.md: what translated points are wrong by at most, relative to the largest
-# coordinate and the size of the pair; and the part of the length of the way that its length is rounded up by.
-_POINTS = 2.0**-48
+# See section 17 of docs/explanation/exactness.md: what the points of the way and points that are translated later may
+# differ by, relative to the largest coordinate and the size of the pair; and the part of the way that is added to it.
+_POINTS = 2.0**-47
 _WAY = 2.0**-40
 # By how much later steps back from the upper bound are longer than those before.
 _LONGER = 4.0
@@ -133,7 +133,11 @@ def exit_distance(
     else:
         pairs = detect_moving(bodies, Query("any", query.min_separation, tolerance, False)).pairs
         pairs = pairs[pairs[:, 0] != pairs[:, 1]]
-    moved = _MovedApart.of(bodies, pairs, unit.expand(len(pairs), 3).contiguous(), query.lengths[0])
+    directions = unit.expand(len(pairs), 3).contiguous()
+    if not len(pairs):
+        none = directions[:, 0]
+        return ExitDistances(pairs=pairs, lower=none, upper=none, direction=directions)
+    moved = _MovedApart.of(bodies, pairs, directions, query.lengths[0])
     below = moved.halved(query.lengths[0])
     upper = moved.upper(query, below)
     lower = moved.lower(below, upper, *query.lengths)
@@ -252,6 +256,8 @@ class _MovedApart:
         touches = near.upper <= separation
         # Where a distance is that of triangles that only touch, others may pass through one another.
         left = torch.nonzero(~touches)[:, 0]
+        if not len(left):
+            return touches
         hits = detect_moving(MovingBodies.of(scene, motion), Query("all", 0.0, 0.0, False), pairs=pairs[left])
         assert isinstance(hits, Contacts)
         passes = hits[(hits.kind == Kind.EF_AB) | (hits.kind == Kind.EF_BA)]

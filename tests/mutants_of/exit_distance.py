@@ -5,7 +5,7 @@ from __future__ import annotations
 from mutants_of.mutant import Mutant
 
 FILE = "pgccd/search/exit_distance.py"
-POINTS = "_POINTS = 2.0**-48"
+POINTS = "_POINTS = 2.0**-47"
 LONGER_WAY = "((x + y) + z) + (size + stray)"
 REST = "-((low + lower) + rest)"
 WORST = "it bounds points whose coordinates all have the largest rounding, in the same direction"
@@ -19,7 +19,7 @@ def _exit(name: str, old: str, new: str, equivalent: str = "") -> Mutant:
 
 MUTANTS = [
     _exit("points-zero", POINTS, "_POINTS = 0.0"),
-    _exit("points-0.999", POINTS, "_POINTS = 0.999 * 2.0**-48", WORST),
+    _exit("points-0.999", POINTS, "_POINTS = 0.999 * 2.0**-47", WORST),
     _exit("points-without-margin", "margin = sum_of_margins(added, margin)", "margin = sum_of_margins(added, None)"),
     _exit("way-0.999", "(1.0 + _WAY)", "0.999"),
     _exit("way-rounding", "(1.0 + _WAY)", "1.0", SPARE),
