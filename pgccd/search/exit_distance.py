@@ -135,8 +135,8 @@ def exit_distance(
         pairs = pairs[pairs[:, 0] != pairs[:, 1]]
     directions = unit.expand(len(pairs), 3).contiguous()
     if not len(pairs):
-        none = directions[:, 0]
-        return ExitDistances(pairs=pairs, lower=none, upper=none, direction=directions)
+        lower, upper = torch.zeros((2, 0), dtype=torch.float64, device=scene.device)
+        return ExitDistances(pairs=pairs, lower=lower, upper=upper, direction=directions)
     moved = _MovedApart.of(bodies, pairs, directions, query.lengths[0])
     below = moved.halved(query.lengths[0])
     upper = moved.upper(query, below)
