@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
+import numpy.typing as npt
 import torch
 from torch import Tensor
 
@@ -77,7 +78,7 @@ class ExitDistances(Rows):
 def exit_distance(
     scene: Scene,
     motion: RigidMotion | VertexMotion,
-    direction: Tensor | Any,
+    direction: Tensor | npt.ArrayLike,
     *,
     pairs: Tensor | None = None,
     min_separation: float = 0.0,
@@ -145,7 +146,7 @@ def exit_distance(
     return ExitDistances(pairs=pairs, lower=lower, upper=upper, direction=moved.direction)
 
 
-def _unit_vectors(direction: Tensor | Any, device: torch.device) -> Tensor:
+def _unit_vectors(direction: Tensor | npt.ArrayLike, device: torch.device) -> Tensor:
     """(3,) or (P, 3): the directions, scaled to length 1."""
     expected = "a vector (3,), or one per pair (P, 3)"
     given = arguments.real_numbers(direction, "direction", expected)
