@@ -30,6 +30,7 @@ from pgccd.search.captured import CapturedCollision, CapturedDetection
 from pgccd.search.detect import collide, detect
 from pgccd.search.distance import Distances, distance
 from pgccd.search.enclosed import enclosed
+from pgccd.search.exit_distance import ExitDistances, exit_distance
 from pgccd.search.narrow import Report
 
 if _TYPE_CHECKING:
@@ -50,6 +51,7 @@ __all__ = [
     "CollidingPairs",
     "Contacts",
     "Distances",
+    "ExitDistances",
     "Kind",
     "Mesh",
     "MeshSet",
@@ -80,6 +82,7 @@ __all__ = [
     "distance",
     "distributed",
     "enclosed",
+    "exit_distance",
     "files",
     "integrate_orientation",
     "narrow",

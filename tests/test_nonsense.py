@@ -223,6 +223,12 @@ def calls(folder: Path) -> dict[str, Call]:
             pgccd.distance,
             {"scene": scene, "motion": motion, "cutoff": 0.1, "pairs": pairs, "tolerance": None},
         ),
+        "exit_distance": Call(
+            pgccd.exit_distance,
+            {"scene": scene, "motion": motion, "direction": [0.0, 0.0, 1.0], "pairs": pairs}
+            | {"min_separation": 0.0, "tolerance": None},
+            {"direction": ("pairs",), "pairs": ("direction",), "min_separation": ("motion",)},
+        ),
         "enclosed": Call(pgccd.enclosed, {"scene": pgccd.Scene([mesh], [0, 0]), "motion": motion}),
         "RigidMotion.at": Call(motion.at, {"t": 0.5}),
         "RigidMotion.shortened": Call(motion.shortened, {"fraction": 0.5}),

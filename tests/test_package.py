@@ -56,6 +56,7 @@ calls = {{
     "resolve": lambda: pgccd.resolve(scene, motion),
     "resolve a trajectory": lambda: pgccd.resolve(scene, path),
     "distance": lambda: pgccd.distance(scene, motion, cutoff=1.0),
+    "exit distance": lambda: pgccd.exit_distance(scene, motion, [1.0, 0.0, 0.0]),
     "enclosed": lambda: pgccd.enclosed(scene, motion),
     "audit": lambda: pgccd.audit(scene, path),
     "at": lambda: (motion.at(torch.tensor([0.5])), motion.shortened(torch.tensor([0.5, 1.0]))),

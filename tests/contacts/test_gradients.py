@@ -386,6 +386,7 @@ def test_where_no_gradient_is_computed_it_is_refused() -> None:
         pgccd.MovingBodies.of,
         pgccd.resolve,
         pgccd.enclosed,
+        lambda bodies, motion: pgccd.exit_distance(bodies, motion, [1.0, 0.0, 0.0]),
     ]
     for call in calls:
         with pytest.raises(ValueError, match=r"^position_t0: requires grad.*position_t0\.detach\(\)"):

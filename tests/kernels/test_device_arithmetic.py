@@ -97,6 +97,12 @@ def turning() -> None:
     pgccd.detect(scene, path)
 
 
+def exits() -> None:
+    for case in (rigid, deforming):
+        scene, motion = case()
+        assert len(pgccd.exit_distance(scene, motion, [0.3, -1.0, 0.2], min_separation=0.4)) > 0
+
+
 def arms() -> None:
     along_x, z, upright = np.array([0.5, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0, 0.0])
     joints = [Joint("", "fixed", -1, 0.0 * z, upright, z)]
@@ -146,6 +152,7 @@ CALLS = {
     "deforming": lambda: every_report(deforming),
     "trajectory": lambda: every_report(along),
     "turning": turning,
+    "exits": exits,
     "arms": arms,
     "padded": padded,
     "motions": motions,

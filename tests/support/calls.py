@@ -164,6 +164,13 @@ def _distances(given: Given, pairs: bool = False) -> Columns:
     return _on_cpu(vars(found))
 
 
+def _exit_distances(given: Given) -> Columns:
+    """Of rigid and deforming bodies, along a direction that depends on the scene."""
+    direction = torch.randn(3, dtype=torch.float64, generator=torch.Generator().manual_seed(given.scene.seed))
+    options = {name: given.scene.arguments[name] for name in ("min_separation", "tolerance")}
+    return _on_cpu(vars(pgccd.exit_distance(given.bodies, given.motion, direction.tolist(), **options)))
+
+
 def _enclosed(given: Given) -> Columns:
     return _on_cpu({"pairs": pgccd.enclosed(given.bodies, given.motion)})
 
@@ -296,6 +303,7 @@ CALLS: dict[str, tuple[Callable[[Given], Columns], Callable[[Given], bool]]] = {
     "resolve padded": (_resolved_padded, _of_steps),
     "distance": (_distances, _always),
     "distance of pairs": (partial(_distances, pairs=True), _always),
+    "exit distance": (_exit_distances, _of_steps),
     "enclosed": (_enclosed, _always),
     "audit": (_audited, lambda given: given.scene.kind != "linear"),
     **{f"captured {report}": (partial(_captured, report), _of_steps) for report in _REPORTS},
