@@ -117,8 +117,16 @@ def calls(folder: Path) -> dict[str, Call]:
     return {
         "Mesh": Call(
             pgccd.Mesh,
-            {"vertices": mesh.vertices, "faces": mesh.faces, "origin": "centroid", "solid": "auto", "thickness": 0.1},
-            {"vertices": ("faces", "origin")},
+            {
+                "vertices": mesh.vertices,
+                "faces": mesh.faces,
+                "segments": [[0, 1]],
+                "points": [0],
+                "origin": "centroid",
+                "solid": "auto",
+                "thickness": 0.1,
+            },
+            {"vertices": ("faces", "segments", "points", "origin")},
         ),
         "Mesh.from_trimesh": Call(
             pgccd.Mesh.from_trimesh, {"mesh": mesh, "origin": "centroid", "weld": True, "solid": "auto"}
@@ -245,7 +253,19 @@ def calls(folder: Path) -> dict[str, Call]:
         "Mesh.box": Call(
             pgccd.Mesh.box, {"extents": (1.0, 1.0, 1.0), "origin": "centroid", "solid": True}, {"extents": ("origin",)}
         ),
-        "Mesh.icosphere": Call(pgccd.Mesh.icosphere, {"radius": 1.0, "subdivisions": 1, "origin": "centroid", "solid": True}),
+        "Mesh.points": Call(
+            pgccd.Mesh.points, {"x": mesh.vertices, "radius": 0.1, "origin": "centroid"}, {"x": ("origin",)}
+        ),
+        "Mesh.segments": Call(
+            pgccd.Mesh.segments,
+            {"x": mesh.vertices, "edges": [[0, 1]], "radius": 0.1, "origin": "centroid"},
+            {"x": ("edges", "origin")},
+        ),
+        "Mesh.sphere": Call(pgccd.Mesh.sphere, {"radius": 1.0, "origin": "centroid"}),
+        "Mesh.capsule": Call(pgccd.Mesh.capsule, {"radius": 1.0, "length": 1.0, "origin": "centroid"}),
+        "Mesh.icosphere": Call(
+            pgccd.Mesh.icosphere, {"radius": 1.0, "subdivisions": 1, "origin": "centroid", "solid": True}
+        ),
         "Mesh.cylinder": Call(
             pgccd.Mesh.cylinder, {"radius": 1.0, "height": 1.0, "sections": 8, "origin": "centroid", "solid": True}
         ),

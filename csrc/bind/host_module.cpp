@@ -3,10 +3,10 @@
 #include <pybind11/pybind11.h>
 
 #include <cstring>
+#include <utility>
 #include <vector>
 
 #include "mesh/hierarchy.h"
-#include "mesh/node_support.h"
 #include "mesh/topology.h"
 
 namespace py = pybind11;
@@ -20,12 +20,13 @@ using Array = py::array_t<T, py::array::c_style | py::array::forcecast>;
 
 // Rows of `Row` as a NumPy matrix of their `Element`s.
 template <class Element, class Row>
-py::array_t<Element> to_matrix(const std::vector<Row>& rows) {
+py::array_t<Element> to_matrix(std::vector<Row>&& rows) {
   static_assert(sizeof(Row) % sizeof(Element) == 0);
   const auto columns = static_cast<py::ssize_t>(sizeof(Row) / sizeof(Element));
-  py::array_t<Element> out({static_cast<py::ssize_t>(rows.size()), columns});
-  if (!rows.empty()) std::memcpy(out.mutable_data(), rows.data(), rows.size() * sizeof(Row));
-  return out;
+  auto* const owned = new std::vector<Row>(std::move(rows));
+  const py::capsule owner(owned, [](void* p) { delete static_cast<std::vector<Row>*>(p); });
+  return py::array_t<Element>({static_cast<py::ssize_t>(owned->size()), columns},
+                              reinterpret_cast<const Element*>(owned->data()), owner);
 }
 
 py::dict prepare_mesh(const Array<double>& vertices, const Array<int32_t>& faces, int leaf_size) {
@@ -35,12 +36,10 @@ py::dict prepare_mesh(const Array<double>& vertices, const Array<int32_t>& faces
   pgccd::Topology topology;
   pgccd::Hierarchy tree;
   std::vector<pgccd::Triangle> triangles;
-  std::vector<std::array<pgccd::NodeSupport, pgccd::kBlockWidth>> supports;
   {
     py::gil_scoped_release unlocked;
     topology = pgccd::make_topology(rows);
     tree = pgccd::build_hierarchy(vertices.data(), vertices.shape(0), rows, leaf_size);
-    supports = pgccd::sample_supports(tree, vertices.data());
     const std::vector<int32_t> represented =
         pgccd::representatives(rows, topology, tree.triangle_order, vertices.shape(0));
     triangles.reserve(rows.size());
@@ -51,12 +50,12 @@ py::dict prepare_mesh(const Array<double>& vertices, const Array<int32_t>& faces
     }
   }
   py::dict out;
-  out["edges"] = to_matrix<int32_t>(topology.edges);
-  out["triangles"] = to_matrix<int32_t>(triangles);
-  out["node_blocks"] = to_matrix<float>(tree.blocks);
-  out["node_links"] = to_matrix<int32_t>(tree.links);
-  out["node_supports"] = to_matrix<int32_t>(supports);
-  out["leaf_points"] = to_matrix<int32_t>(tree.leaf_points);
+  out["edges"] = to_matrix<int32_t>(std::move(topology.edges));
+  out["triangles"] = to_matrix<int32_t>(std::move(triangles));
+  out["node_blocks"] = to_matrix<float>(std::move(tree.blocks));
+  out["node_links"] = to_matrix<int32_t>(std::move(tree.links));
+  out["node_supports"] = to_matrix<int32_t>(std::move(tree.supports));
+  out["leaf_points"] = to_matrix<int32_t>(std::move(tree.leaf_points));
   return out;
 }
 

@@ -59,12 +59,15 @@ PGCCD_HD bool is_sound(const DeformingBodies& bodies, int64_t body) {
          are_within(bodies.block_begin[body], rows[1].block - rows[0].block, bodies.block_count);
 }
 
-// SBV radius and margin: the size of a sphere is its margin alone.
+// The SBV radius; of points at one place, such as a sphere, the margin.
+constexpr double kRadiusOfPoint = 1e-30;
 PGCCD_HD double size_of(const BodyCentres& centres, int64_t body) {
-  return centres.margin == nullptr ? centres.radius[body] : centres.radius[body] + centres.margin[body];
+  const double radius = centres.radius[body];
+  const bool is_point = radius >= 0.0 && radius <= kRadiusOfPoint && centres.margin != nullptr;
+  return is_point ? larger(radius, centres.margin[body]) : radius;
 }
 
-// A negative tolerance is relative to the smaller body of the pair.
+// A negative tolerance is relative to the smaller size of the pair.
 PGCCD_HD double pair_tolerance(const BodyCentres& centres, int64_t i, int64_t j, double tolerance) {
   return tolerance < 0.0 ? -tolerance * smaller(size_of(centres, i), size_of(centres, j)) : tolerance;
 }

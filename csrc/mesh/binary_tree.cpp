@@ -74,7 +74,10 @@ class Builder {
       tree_.nodes[task.node].child = child;
       tree_.nodes.push_back({begin, split.middle, -1});
       tree_.nodes.push_back({split.middle, end, -1});
-      tasks.push_back({child + 1, task.depth + 1, split.axis, task.is_sorted, task.vertices});
+      // Points list their vertices again.
+      const bool lists_again = kind_of(faces_[along_[split.axis][split.middle]]) == ElementKind::kPoint;
+      tasks.push_back({child + 1, task.depth + 1, split.axis, task.is_sorted,
+                       lists_again ? std::vector<int32_t>() : task.vertices});
       tasks.push_back({child, task.depth + 1, split.axis, task.is_sorted, std::move(task.vertices)});
     }
     return std::move(tree_);
@@ -97,6 +100,10 @@ class Builder {
   // Larger nodes are split between bins; at most as many triangles are sorted, and split anywhere between two of them.
   static constexpr int32_t kMostSorted = 128;
   static constexpr int kBins = 32;
+  // Nodes with more vertices, which few tests reach, get a sphere about the middle of their box.
+  static constexpr size_t kMostSphered = 2048;
+  // Nodes with more points, which are in order_in_space.
+  static constexpr int32_t kMostSided = 1 << 14;
   // Below this depth nodes are split in the middle: 31-bit counts then need at most kMaxTreeDepth levels in total.
   static constexpr int kFreeDepth = kMaxTreeDepth - 32;
 
@@ -141,6 +148,7 @@ class Builder {
   Split split_node(Task& task) {
     const int32_t begin = tree_.nodes[task.node].begin, end = tree_.nodes[task.node].end;
     if (const int32_t middle = end_of_first_kind(begin, end, task); middle < end) return {task.axis, middle};
+    if (kind_of(faces_[along_[0][begin]]) == ElementKind::kPoint) return split_points(begin, end);
     if (!task.is_sorted) {
       if (end - begin > kMostSorted && task.depth < kFreeDepth) {
         const Split split = split_between_bins(begin, end);
@@ -152,6 +160,24 @@ class Builder {
     const Split split = best_split(begin, end, task.depth);
     partition_orders(begin, end, split);
     return split;
+  }
+
+  // In the middle, so that all leaves but one are full: of the longest side, in large nodes of the given order.
+  Split split_points(int32_t begin, int32_t end) {
+    const int32_t leaves = (end - begin + leaf_size_ - 1) / leaf_size_, middle = begin + leaf_size_ * (leaves / 2);
+    if (end - begin > kMostSided) return {0, middle};
+    const auto point_of = [&](int32_t f) { return boxes_[f].lower; };
+    Box box;
+    for (int32_t k = begin; k < end; ++k) box.include(boxes_[along_[0][k]]);
+    const Float4 extent = box.upper - box.lower;
+    int axis = extent[1] > extent[0] ? 1 : 0;
+    if (extent[2] > extent[axis]) axis = 2;
+    const auto order = along_[0].begin();
+    std::nth_element(order + begin, order + middle, order + end, [&](int32_t f, int32_t g) {
+      const float at_f = point_of(f)[axis], at_g = point_of(g)[axis];
+      return at_f < at_g || (at_f == at_g && f < g);
+    });
+    return {0, middle};
   }
 
   // The best of kBins - 1 equidistant planes an axis (Wald 2007). Leaves a child empty if no plane separates middles.
@@ -287,7 +313,14 @@ class Builder {
   // Keeps the parent's vertices that belong to the node's own triangles, in ascending order.
   void keep_vertices_of_node(Task& task) {
     const std::vector<int32_t>& order = along_[task.axis];
-    for (int32_t k = tree_.nodes[task.node].begin; k < tree_.nodes[task.node].end; ++k) {
+    const int32_t begin = tree_.nodes[task.node].begin, end = tree_.nodes[task.node].end;
+    if (kind_of(faces_[order[begin]]) == ElementKind::kPoint) {
+      task.vertices.clear();
+      for (int32_t k = begin; k < end; ++k) task.vertices.push_back(faces_[order[k]][0]);
+      if (end - begin <= leaf_size_) std::sort(task.vertices.begin(), task.vertices.end());
+      return;
+    }
+    for (int32_t k = begin; k < end; ++k) {
       for (const int32_t v : faces_[order[k]]) node_of_vertex_[v] = task.node;
     }
     std::erase_if(task.vertices, [&](int32_t v) { return node_of_vertex_[v] != task.node; });
@@ -322,7 +355,8 @@ class Builder {
 
   void set_volume(const Task& task) {
     points_.load(vertices_, task.vertices);
-    const Vec3<float> centre = cast<float>(centre_of_smallest_sphere(points_));
+    const bool is_large = task.vertices.size() > kMostSphered;
+    const Vec3<float> centre = cast<float>(is_large ? points_.middle() : centre_of_smallest_sphere(points_));
     const Vec3<float> normal = mean_normal(task);
     const double radius = std::sqrt(points_.farthest(cast<double>(centre)).first) * (1.0 + 1e-14);
     const auto [low, high] = points_.extent(cast<double>(centre), cast<double>(normal));

@@ -5,6 +5,8 @@
 #include <utility>
 
 #include "mesh/binary_tree.h"
+#include "mesh/node_support.h"
+#include "mesh/order_in_space.h"
 
 namespace pgccd {
 namespace {
@@ -14,7 +16,7 @@ class Folder {
  public:
   explicit Folder(const std::vector<BinaryNode>& nodes) : nodes_(nodes) { plan_blocks(); }
 
-  // Without triangle order and leaf points.
+  // Without supports, triangle order and leaf points.
   Hierarchy fold() {
     struct Task {
       std::vector<int32_t> nodes;
@@ -109,13 +111,30 @@ class Folder {
   Hierarchy tree_;
 };
 
-}  // namespace
+// Meshes with more faces are put in order first.
+constexpr size_t kManyFaces = 1 << 14;
 
-Hierarchy build_hierarchy(const double* vertices, int64_t vertex_count, const std::vector<Face>& faces, int leaf_size) {
+Hierarchy build_in_given_order(const double* vertices, int64_t vertex_count, const std::vector<Face>& faces,
+                               int leaf_size) {
   BinaryTree tree = build_binary_tree(vertices, vertex_count, faces, leaf_size);
   Hierarchy hierarchy = Folder(tree.nodes).fold();
   hierarchy.triangle_order = std::move(tree.triangle_order);
   hierarchy.leaf_points = std::move(tree.leaf_points);
+  hierarchy.supports = sample_supports(hierarchy, vertices);
+  return hierarchy;
+}
+
+}  // namespace
+
+Hierarchy build_hierarchy(const double* vertices, int64_t vertex_count, const std::vector<Face>& faces, int leaf_size) {
+  if (faces.size() <= kManyFaces) return build_in_given_order(vertices, vertex_count, faces, leaf_size);
+  const MeshInSpace mesh = order_in_space(vertices, vertex_count, faces);
+  const auto used = static_cast<int64_t>(mesh.vertex_of.size());
+  Hierarchy hierarchy = build_in_given_order(mesh.vertices.data(), used, mesh.faces, leaf_size);
+  for (int32_t& f : hierarchy.triangle_order) f = mesh.face_of[f];
+  for (LeafPoints& points : hierarchy.leaf_points) {
+    for (int32_t& v : points.vertex) v = mesh.vertex_of[v];
+  }
   return hierarchy;
 }
 

@@ -14,6 +14,7 @@ namespace pgccd {
 struct Hierarchy {
   std::vector<NodeBlock> blocks;
   std::vector<std::array<NodeLink, kBlockWidth>> links;
+  std::vector<std::array<NodeSupport, kBlockWidth>> supports;
   std::vector<int32_t> triangle_order;  // faces in the order of the leaves
   std::vector<LeafPoints> leaf_points;
 };

@@ -58,6 +58,27 @@ class PointColumns {
     return {most[0], point(place[0])};
   }
 
+  // Of their box.
+  Vec3<double> middle() const {
+    Vec3<double> out;
+    double* const coordinates[3] = {&out.x, &out.y, &out.z};
+    for (int axis = 0; axis < 3; ++axis) {
+      Double4 low = columns_[axis][0], high = low;
+      for (int64_t k = 1; k < count_; ++k) {
+        const Double4 x = columns_[axis][k];
+        low = x < low ? x : low;
+        high = high < x ? x : high;
+      }
+      double least = low[0], most = high[0];
+      for (int lane = 1; lane < kDoubleLanes; ++lane) {
+        least = smaller(least, low[lane]);
+        most = larger(most, high[lane]);
+      }
+      *coordinates[axis] = 0.5 * (least + most);
+    }
+    return out;
+  }
+
   Vec3<double> point(int64_t place) const {
     const int64_t k = place / kDoubleLanes, lane = place % kDoubleLanes;
     return {columns_[0][k][lane], columns_[1][k][lane], columns_[2][k][lane]};

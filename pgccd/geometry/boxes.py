@@ -4,12 +4,16 @@ import math
 
 import numpy as np
 
+from pgccd.geometry.elements import used
+
 # Two bodies of a mesh have a box if their boxes meet this much more rarely than their SBVs, in random poses.
 _FEWEST_SPHERES = 4.0
 # The first boxes tried are at most about this much larger than the best one.
 _ROUGHLY = 2.0
 # Turns of a box about each of its axes that are tried, within a quarter of a revolution.
 _TURNS = 16
+# So many points choose the axes of a mesh well enough.
+_MANY = 1 << 14
 # More than the rounding of projections, in SBV radii.
 _ROUNDING = 1e-12
 
@@ -25,9 +29,10 @@ def elongated_box(points: np.ndarray, faces: np.ndarray, radius: float) -> np.nd
     Returns:
         (4, 3) float64: the centre of the box, and half of its edges, the longest first; or None.
     """
-    used = np.zeros(len(points), dtype=bool)
-    used[faces] = True
-    x = np.ascontiguousarray(points[used].T) / radius
+    everything = np.ascontiguousarray(used(points, faces).T) / radius
+    # The axes are chosen by a part of a large mesh.
+    x = np.ascontiguousarray(everything[:, :: 1 + everything.shape[1] // _MANY])
+    faces = faces[:: 1 + len(faces) // _MANY]
     spheres = 32.0 / 3.0 * math.pi  # the volume in which the centre of a second SBV is if both overlap
     tried = [np.eye(3), _principal_axes(_covariance_of_points(x))]
     best = min(tried, key=lambda axes: _volume_of_meeting(x, axes))
@@ -39,7 +44,9 @@ def elongated_box(points: np.ndarray, faces: np.ndarray, radius: float) -> np.nd
     best = min(turned, key=lambda axes: _volume_of_meeting(x, axes))
     if spheres < _FEWEST_SPHERES * _volume_of_meeting(x, best):
         return None
-    lower, upper = _bounds(x, best)
+    if x.shape != everything.shape and spheres < _FEWEST_SPHERES * _volume_of_meeting(everything, best):
+        return None
+    lower, upper = _bounds(everything, best)
     half = (0.5 * (upper - lower) * (1.0 + _ROUNDING) + _ROUNDING)[:, None] * best
     longest_first = np.argsort(-(upper - lower), kind="stable")
     return radius * np.vstack([0.5 * (lower + upper) @ best, half[longest_first]])

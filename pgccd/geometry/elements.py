@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 from torch import Tensor
 
 from pgccd import arguments
+from pgccd.geometry.coordinates import as_array
 
 Rows = npt.ArrayLike | Tensor
 
@@ -26,15 +25,15 @@ def elements(points: np.ndarray, faces: Rows | None, segments: Rows | None, sing
     triangles = _rows(faces, "faces", 3)
     arguments.check_corners(points, triangles)
     _refuse_repeats(triangles, "faces", "face")
-    pairs, alone = _rows(segments, "segments", 2), _rows(single, "points", 1)
-    for rows, name, what in ((pairs, "segments", "segment"), (alone, "points", "point")):
+    pairs, alone = _rows(segments, "segments", 2), _rows(single, "points", None)
+    for rows, name, what in ((pairs, "segments", "segment"), (alone[:, None], "points", "point")):
         is_out = ((rows < 0) | (rows >= len(points))).any(axis=1)
         if is_out.any():
             first = int(np.argmax(is_out))
             raise ValueError(f"{name}: {what} {first} is {rows[first].tolist()}, but there are {len(points)} vertices")
     _refuse_repeats(pairs, "segments", "segment")
-    _refuse_twice(alone[:, 0])
-    table = np.concatenate([triangles, pairs[:, [0, 1, 1]], alone[:, [0, 0, 0]]])
+    _refuse_twice(alone)
+    table = np.concatenate([triangles, pairs[:, [0, 1, 1]], alone[:, None].repeat(3, axis=1)])
     if len(table) == 0:
         raise ValueError("faces: the mesh holds no triangles, segments or points")
     return table
@@ -84,30 +83,19 @@ def centre(points: np.ndarray, table: np.ndarray) -> np.ndarray:
         # Relative to the first corner, so that a mesh far from the origin keeps its digits.
         first = points[table[0, 0]]
         return first + (points[triangles] - first).reshape(-1, 3).mean(axis=0)
-    used = points[np.unique(table)]
-    return 0.5 * (used.min(axis=0) + used.max(axis=0))
+    corners = used(points, table)
+    return 0.5 * (corners.min(axis=0) + corners.max(axis=0))
 
 
-def _rows(given: Any, name: str, width: int) -> np.ndarray:
-    """(n, width) int64; points are given as (n,)."""
-    if given is None:
-        return np.empty((0, width), dtype=np.int64)
-    values = arguments.as_tensor(given, name)
-    raw = values.detach().cpu().numpy() if isinstance(values, Tensor) else _array(values, name)
-    if raw.size and raw.dtype.kind not in "iu":
-        raise TypeError(f"{name}: expected integers, got {raw.dtype}")
-    if width == 1 and raw.ndim == 1:
-        raw = raw[:, None]
-    elif width == 1 or (raw.ndim != 2 or raw.shape[1] != width) and raw.size:
-        raise ValueError(f"{name}: expected shape {'(n,)' if width == 1 else f'(n, {width})'}, got {raw.shape}")
-    return np.ascontiguousarray(raw.reshape(-1, width), dtype=np.int64)
+def used(points: np.ndarray, table: np.ndarray) -> np.ndarray:
+    """Of points (V, 3) those that an element (F, 3) has."""
+    is_used = np.zeros(len(points), dtype=bool)
+    is_used[table] = True
+    return points if is_used.all() else points[is_used]
 
 
-def _array(values: Any, name: str) -> np.ndarray:
-    try:
-        return np.asarray(values)
-    except (TypeError, ValueError) as error:  # ragged lists
-        raise TypeError(f"{name}: expected integers, got {arguments.describe(values)}: {error}") from error
+def _rows(given: Rows | None, name: str, width: int | None) -> np.ndarray:
+    return as_array(() if given is None else given, np.int64, name, width)
 
 
 def _refuse_repeats(rows: np.ndarray, name: str, what: str) -> None:
@@ -118,7 +106,6 @@ def _refuse_repeats(rows: np.ndarray, name: str, what: str) -> None:
 
 
 def _refuse_twice(alone: np.ndarray) -> None:
-    ordered = np.sort(alone)
-    twice = ordered[1:][ordered[1:] == ordered[:-1]]
-    if len(twice):
-        raise ValueError(f"points: vertex {int(twice[0])} is listed twice")
+    times = np.bincount(alone) if len(alone) else alone
+    if (times > 1).any():
+        raise ValueError(f"points: vertex {int(np.argmax(times > 1))} is listed twice")

@@ -30,8 +30,9 @@ def incidence(vertices: Tensor, faces: Tensor, edges: Tensor, offsets: Tensor) -
     each_face = torch.arange(len(faces))[:, None].expand(-1, 3)
     each_edge = torch.arange(len(edges)).repeat_interleave(2)
     # The corners of a segment or a point, and the edge of a segment, count once.
-    is_corner = torch.stack([torch.ones(len(faces), dtype=torch.bool), low[:, 0] < high[:, 0], low[:, 1] < high[:, 1]], 1)
-    is_edge = torch.stack([is_corner[:, 1], is_corner[:, 2], is_corner[:, 2]], 1)
+    differs = low < high
+    is_corner = torch.stack([torch.ones_like(differs[:, 0]), differs[:, 0], differs[:, 1]], 1)
+    is_edge = torch.stack([differs[:, 0], differs[:, 1], differs[:, 1]], 1)
     lists = [
         _lists(faces[is_corner], each_face[is_corner], total),
         _lists(edges.reshape(-1), each_edge, total),
@@ -39,8 +40,8 @@ def incidence(vertices: Tensor, faces: Tensor, edges: Tensor, offsets: Tensor) -
     ]
 
     # Closed and wound alike: two faces at each edge, one along it, one against it.
-    along = torch.where(faces < ends, 1, -1).reshape(-1)
-    balance = torch.zeros(len(edges), dtype=torch.int64).index_add(0, face_edges.reshape(-1), along)
+    along = torch.where(faces < ends, 1, -1)
+    balance = torch.zeros(len(edges), dtype=torch.int64).index_add(0, face_edges[is_edge], along[is_edge])
     is_solid = (lists[2][0].diff() == 2) & (balance == 0)
     open_edges = torch.zeros(len(counts), dtype=torch.int64).index_add(0, mesh_of_edge, (~is_solid).long())
     corners = vertices[faces] - vertices[first_vertex[mesh_of_face]][:, None]
@@ -48,7 +49,7 @@ def incidence(vertices: Tensor, faces: Tensor, edges: Tensor, offsets: Tensor) -
     a, b, c = corners.numpy().swapaxes(0, 1)
     volumes = np.bincount(mesh_of_face.numpy(), (a * np.cross(b, c)).sum(1), minlength=len(counts))
     outward = torch.where(open_edges == 0, torch.from_numpy(np.sign(volumes)), 0.0)
-    most = max(int(begin.diff().amax()) for begin, _ in lists)
+    most = max(int(begin.diff().amax()) for begin, _ in lists if len(begin) > 1)
     return [face_edges, *(column for columns in lists for column in columns), outward], most
 
 

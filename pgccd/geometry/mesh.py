@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import warnings
 from collections.abc import Sequence
 from os import PathLike
 from typing import Any, Literal
@@ -16,6 +15,7 @@ from torch import Tensor
 from pgccd import _host, arguments
 from pgccd.geometry import elements, mesh_files, shapes
 from pgccd.geometry.boxes import elongated_box
+from pgccd.geometry.coordinates import as_array, is_float32, warn_of_rounding
 from pgccd.geometry.origin import Origin, checked_origin, checked_point, origin_point
 from pgccd.geometry.solids import Solid, is_solid
 
@@ -28,8 +28,6 @@ SMALLEST_RADIUS, LARGEST_RADIUS = 1e-30, 1e30
 _MOST_EDGES = 2**30 - 1
 # Beyond this many SBV radii vertices have no more than four significant digits.
 _FURTHEST_ORIGIN = 1e12
-# A face whose edges are, or a body whose radius is, at most so many units in the last place of float32 is distorted.
-FEW_UNITS = 4
 
 
 # Entries of a mesh's state_dict: what it is built from, and where it comes from.
@@ -60,8 +58,9 @@ class Mesh:
             several components, and triangles may have no area. Default: none.
         origin: a point (3,) in the coordinates of `vertices`, for example a joint; "centroid", the SBV centre: the mean
             of the corner coordinates over all triangles (Du, Liu & Suzumura 2017, Eq. 1), which depends on the
-            tessellation, or of a mesh without triangles the middle of its bounding box; or "center_of_mass", that of a solid of uniform density. The surface must then be closed and
-            consistently oriented (each edge shared by two triangles in opposite directions).
+            tessellation, or of a mesh without triangles the middle of its bounding box; or "center_of_mass", that of a
+            solid of uniform density. The surface must then be closed and consistently oriented (each edge shared by two
+            triangles in opposite directions).
         segments: (S, 2) integers, two different rows of `vertices` per segment. Default: none.
         points: (P,) integers, different rows of `vertices`. Default: none.
         solid: whether the inside belongs to the body, so that a body that begins a step inside of it touches it
@@ -96,8 +95,9 @@ class Mesh:
 
     Raises:
         ValueError: naming the first offending vertex, face, segment or point, the mesh has none of these or an SBV
-            radius outside of [1e-30, 1e30]; the origin is not a finite point, too far away, or undefined because the surface bounds no solid; or
-            `solid` is True, and an edge is not shared by two faces in opposite directions; `thickness` is no length.
+            radius outside of [1e-30, 1e30]; the origin is not a finite point, too far away, or undefined because the
+            surface bounds no solid; or `solid` is True, and an edge is not shared by two faces in opposite directions;
+            `thickness` is no length.
         TypeError: `solid` is neither a bool nor "auto", or `thickness` no number.
 
     Example:
@@ -118,12 +118,12 @@ class Mesh:
         solid: Solid = False,
         thickness: float = 0.0,
     ) -> None:
-        x = _as_array(vertices, np.float64, "vertices")
+        x = as_array(vertices, np.float64, "vertices", 3)
         table = elements.elements(x, faces, segments, points)
         self.solid = is_solid(solid, x, table)
         self.thickness = _checked_thickness(thickness)
         if arguments.is_float32(vertices):
-            _warn_of_rounding(x, table)
+            warn_of_rounding(x, table)
 
         centre = elements.centre(x, table)
         reference = origin_point(origin, x, table, centre)
@@ -144,9 +144,9 @@ class Mesh:
         """
         local = body - offset if offset.any() else body
         self.triangle_count, self.segment_count, self.point_count = elements.counts(table)
-        radius = float(np.sqrt((local[table.ravel()] ** 2).sum(axis=1).max()))
-        if self.point_count == len(table):
-            radius = max(radius, SMALLEST_RADIUS)
+        radius = float(np.sqrt((elements.used(local, table) ** 2).sum(axis=1).max()))
+        is_one_place = self.point_count == len(table) and radius < SMALLEST_RADIUS
+        radius = SMALLEST_RADIUS if is_one_place else radius
         if not SMALLEST_RADIUS <= radius <= LARGEST_RADIUS:
             raise ValueError(
                 f"vertices: the mesh has SBV radius {radius:g}; "
@@ -160,7 +160,7 @@ class Mesh:
         prepared = _host.prepare_mesh(local, table.astype(np.int32), LEAF_SIZE)
         self.origin = torch.from_numpy(reference)
         self.centre = torch.from_numpy(centre)
-        self.radius = radius * (1.0 + 2.0**-50)
+        self.radius = radius if is_one_place else radius * (1.0 + 2.0**-50)
         self.centre_offset = torch.from_numpy(offset)
         self.reach = self.radius
         if offset.any():
@@ -173,15 +173,17 @@ class Mesh:
         self._triangles = torch.from_numpy(prepared["triangles"])
         # Corner coordinates of triangles and segments as nine columns, relative to the SBV centre like the hierarchy;
         # padded, so that eight neighbours can be loaded at the last one.
-        cornered = self._triangles[: len(table) - self.point_count, :3].long()
-        corners = torch.from_numpy(local).float()[cornered].view(-1, 9)
-        self._corners = torch.nn.functional.pad(corners, (0, 0, 0, LEAF_SIZE)).T.contiguous()
+        cornered = self._triangles[: len(table) - self.point_count, :3]
+        self._corners = torch.zeros((9, len(cornered) + LEAF_SIZE))
+        rounded = torch.from_numpy(local).float()
+        for corner in range(3):
+            self._corners[3 * corner : 3 * corner + 3, : len(cornered)] = rounded[cornered[:, corner]].T
         self._node_blocks = torch.from_numpy(prepared["node_blocks"]).view(-1, 9, 8)
         self._node_links = torch.from_numpy(prepared["node_links"]).view(-1, 8, 4)
         self._leaf_points = torch.from_numpy(prepared["leaf_points"]).view(-1, 4, 8)
         self._node_supports = torch.from_numpy(prepared["node_supports"]).view(-1, 8, 24)
         # (4, 3) float64, relative to the SBV centre; None for a mesh that fills much of its SBV.
-        self._box = elongated_box(local, table, radius) if radius > SMALLEST_RADIUS else None
+        self._box = None if is_one_place else elongated_box(local, table, radius)
 
     @classmethod
     def box(
@@ -218,8 +220,14 @@ class Mesh:
             >>> pgccd.Mesh.points([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], 0.1).point_count
             2
         """
-        vertices = _as_array(x, np.float64, "x")
-        return cls(vertices, None, origin, points=np.arange(len(vertices)), thickness=_radius(radius))
+        vertices = as_array(x, np.float64, "x", 3)
+        if len(vertices) == 0:
+            raise ValueError("x: expected at least one point")
+        alone, thickness = np.arange(len(vertices)), _radius(radius)
+        try:
+            return cls(vertices, None, origin, points=alone, thickness=thickness)
+        except ValueError as error:
+            raise _renamed(error, vertices="x") from error
 
     @classmethod
     def segments(
@@ -244,7 +252,14 @@ class Mesh:
             >>> pgccd.Mesh.segments([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0]], [[0, 1], [1, 2]]).edges.shape
             torch.Size([2, 2])
         """
-        return cls(_as_array(x, np.float64, "x"), None, origin, segments=edges, thickness=_radius(radius))
+        vertices, thickness = as_array(x, np.float64, "x", 3), _radius(radius)
+        pairs = as_array(edges, np.int64, "edges", 2)
+        if len(pairs) == 0:
+            raise ValueError("edges: expected at least one segment")
+        try:
+            return cls(vertices, None, origin, segments=pairs, thickness=thickness)
+        except ValueError as error:
+            raise _renamed(error, vertices="x", segments="edges") from error
 
     @classmethod
     def sphere(cls, radius: float, origin: Origin = (0.0, 0.0, 0.0)) -> Mesh:
@@ -445,8 +460,8 @@ class Mesh:
         cls, geometry: mesh_files.Geometry, origin: Origin, weld: bool, solid: Solid, source: str = ""
     ) -> Mesh:
         cleaned, source_vertex, source_face = mesh_files.clean(geometry, arguments.flag(weld, "weld"))
-        if _is_float32(geometry.vertices):  # before welding, which joins vertices that have become equal
-            _warn_of_rounding(geometry.vertices, geometry.faces, source, stacklevel=4)
+        if is_float32(geometry.vertices):  # before welding, which joins vertices that have become equal
+            warn_of_rounding(geometry.vertices, geometry.faces, source, stacklevel=4)
         mesh = cls(cleaned.vertices, cleaned.faces, origin, solid=solid)
         mesh.name = geometry.name
         mesh.welded_vertices = len(geometry.vertices) - len(cleaned.vertices)
@@ -514,8 +529,8 @@ class Mesh:
         if isinstance(state, dict):
             state = _LATER | state
         arguments.entries(state, (*_STATE, *_OF_FILE, *_LATER))
-        points = _as_array(state["vertices"], np.float64, "vertices")
-        table = elements.checked(points, _as_array(state["faces"], np.int64, "faces"))
+        points = as_array(state["vertices"], np.float64, "vertices", 3)
+        table = elements.checked(points, as_array(state["faces"], np.int64, "faces", 3))
         places = [checked_point(state[name], name) for name in ("origin", "centre", "centre_offset")]
         mesh = cls.__new__(cls)
         mesh.solid = is_solid(arguments.flag(state["solid"], "solid"), points, table)
@@ -555,6 +570,12 @@ class Mesh:
         return f"Mesh({name}{counts}, radius={self.radius:g}{solid}{changed})"
 
 
+def _renamed(error: ValueError, **names: str) -> ValueError:
+    """An error about an argument of the constructor, with the names of the arguments that it is made of."""
+    name, _, rest = str(error).partition(": ")
+    return ValueError(f"{names.get(name, name)}: {rest}")
+
+
 def _radius(radius: float) -> float:
     return arguments.length(radius, "radius")
 
@@ -564,53 +585,3 @@ def _checked_thickness(thickness: float) -> float:
     if length > LARGEST_RADIUS:
         raise ValueError(f"thickness: expected a length of at most {LARGEST_RADIUS:g}, got {length:g}")
     return length
-
-
-def _as_array(values: npt.ArrayLike | Tensor, dtype: type, name: str) -> np.ndarray:
-    values = arguments.as_tensor(values, name)
-    if isinstance(values, Tensor):
-        arguments.refuse_gradient(values, name)
-    numbers = "float32, float64 or integers" if dtype is np.float64 else "integers"
-    try:
-        raw = values.detach().cpu().numpy() if isinstance(values, Tensor) else np.asarray(values)
-    except (TypeError, ValueError, RuntimeError) as error:  # ragged lists, bfloat16
-        raise TypeError(f"{name}: expected {numbers}, got {arguments.describe(values)}: {error}") from error
-    is_real = raw.dtype.kind == "f" and raw.dtype.itemsize in (4, 8)
-    if raw.size and not (raw.dtype.kind in "iu" or (is_real and dtype is np.float64)):
-        raise TypeError(f"{name}: expected {numbers}, got {raw.dtype}")
-    if raw.ndim != 2 or raw.shape[1] != 3:
-        raise ValueError(f"{name}: expected shape (n, 3), got {raw.shape}")
-    return np.ascontiguousarray(raw, dtype=dtype)
-
-
-def _is_float32(values: np.ndarray) -> bool:
-    """Whether all values are representable in float32."""
-    with np.errstate(over="ignore"):
-        return bool((values.astype(np.float32) == values).all())
-
-
-def _warn_of_rounding(points: np.ndarray, faces: np.ndarray, source: str = "", stacklevel: int = 3) -> None:
-    """Warns of faces whose size is that of float32's rounding.
-
-    Args:
-        points: (V, 3) finite, given in float32.
-        faces: (F, 3); points are not looked at.
-        source: where they come from, in words: the start of the message. Default: an argument.
-        stacklevel: see `warnings.warn`.
-    """
-    corners = points[faces[faces[:, 0] != faces[:, 1]]]
-    if len(corners) == 0:
-        return
-    size = np.abs(corners - np.roll(corners, 1, axis=1)).max(axis=(1, 2))
-    unit = np.spacing(np.abs(corners).max(axis=(1, 2)).astype(np.float32)).astype(np.float64)
-    is_lost = size <= FEW_UNITS * unit
-    if is_lost.any():
-        face = int(np.argmax(is_lost))
-        warnings.warn(
-            f"{source or 'vertices'}: float32 has distorted {int(is_lost.sum())} of {len(faces)} faces: the edges of "
-            f"face {face} are at most {size[face]:.3g} long, where coordinates are multiples of {unit[face]:.3g}. "
-            + ("Export the file again" if source else "Give float64, or coordinates")
-            + " relative to a point nearby",
-            UserWarning,
-            stacklevel=stacklevel,
-        )

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from pgccd import arguments
-from pgccd.geometry.mesh import Mesh
+from pgccd.geometry.mesh import SMALLEST_RADIUS, Mesh
 from pgccd.geometry.mesh_set import MeshSet
 from pgccd.geometry.scene_columns import (
     bool_column,
@@ -308,9 +308,12 @@ class Scene:
 
     @property
     def _size(self) -> Tensor:
-        """(N,) float64: SBV radius and `_thickness`, of which default tolerances are a part."""
-        thickness = self._thickness
-        return self.radius if thickness is None else self.radius + thickness
+        """(N,) float64, of which default tolerances are a part: the SBV radius; of points at one place, such as a
+        sphere, the margin.
+        """
+        radius, thickness = self.radius, self._thickness
+        is_point = (radius >= 0.0) & (radius <= SMALLEST_RADIUS)
+        return radius if thickness is None else torch.where(is_point, torch.maximum(radius, thickness), radius)
 
     def _leave_out(self, is_padding: Tensor) -> None:
         """Gives the bodies marked by (N,) bool a negative radius, so that no pair contains them."""

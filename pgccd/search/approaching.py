@@ -60,8 +60,8 @@ def approaching(
     Args:
         scene, motion: with which `detect` found the contacts, unchanged.
         hits: contacts of `detect` without a capacity, on the scene's device.
-        slack: length >= 0. Default: the tolerance of the detection; if none was given 1e-6 of the smaller body of each
-            pair, SBV radius and margin.
+        slack: length >= 0. Default: the tolerance of the detection; if none was given 1e-6 of the smaller SBV radius of
+            each pair, that of a sphere included.
 
     Returns:
         Contacts, of a trajectory TrajectoryContacts. Synchronises with a GPU.
@@ -114,7 +114,7 @@ class Recession:
 
     @classmethod
     def of(cls, scene: Scene, motion: RigidMotion | VertexMotion, slack: float | None) -> Recession:
-        """Of bodies; slack None: 1e-6 of the SBV radius and margin."""
+        """Of bodies; slack None: 1e-6 of the size."""
         radius = scene._detached()._size
         slacks = RELATIVE_TOLERANCE * radius if slack is None else torch.full_like(radius, slack)
         return cls(scene._detached(), motion._detached(), slacks)

@@ -41,8 +41,8 @@ def sweep(
         min_separation: length; bodies at most this far apart count as colliding.
         axis: the sweep axis; "auto" selects the one with the largest variance of centres. The result does not depend on
             it.
-        tolerance: length; contacts up to min_separation + tolerance may be reported. Default: 1e-6 of the smaller body
-            of each pair, SBV radius and margin.
+        tolerance: length; contacts up to min_separation + tolerance may be reported. Default: 1e-6 of the smaller SBV
+            radius of each pair, as for `detect`.
 
     Returns:
         (P, 2) int64: every pair i < j that the scene's filters allow and whose swept spheres come within min_separation

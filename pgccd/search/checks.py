@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from pgccd import arguments
-from pgccd.geometry.mesh import FEW_UNITS
+from pgccd.geometry.coordinates import FEW_UNITS
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
@@ -17,7 +17,7 @@ from pgccd.motion.trajectory import Trajectory
 Initial = Literal["report", "assume_free"]
 INITIALS: tuple[str, ...] = get_args(Initial)
 
-#: The default tolerance, relative to the smaller body of a pair, SBV radius and margin.
+#: The default tolerance, relative to the smaller SBV radius of a pair.
 RELATIVE_TOLERANCE = 1e-6
 
 

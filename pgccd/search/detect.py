@@ -121,7 +121,7 @@ def detect(
             fraction of the step. Which pairs collide, without contacts, `pgccd.collide` finds in less time.
         min_separation: length >= 0. Bodies may have margins besides, see `Scene`.
         tolerance: a reported contact comes within min_separation + tolerance (length). Default: 1e-6 of the smaller
-            body of each pair, SBV radius and margin.
+            SBV radius of each pair; a point, such as a sphere, has its thickness and margin for one.
         nonzero_toi: never report toi = 0 for a pair that starts further apart than min_separation (beyond rounding).
         initial: "report": surfaces that intersect and bodies inside of solids at t = 0 are reported. "assume_free": the
             caller guarantees that there are none, for example because a previous step ended before its first contact;

@@ -144,7 +144,9 @@ def _of_step(
         wanted = broad.find_pairs_of_checked(bodies, cutoff, broad.choose(bodies), tolerance=0.0)
         wanted = wanted[wanted[:, 0] != wanted[:, 1]]
     lower, upper, time, points = ops.distances(bodies.operands, wanted, cutoff, tolerance)
-    radius = scene._size[wanted].amin(dim=1)
+    thickness = scene._thickness
+    thick = bodies.radius if thickness is None else bodies.radius + thickness
+    radius = thick[wanted].amin(dim=1)
     allowed = RELATIVE_TOLERANCE * radius if tolerance < 0.0 else torch.full_like(radius, tolerance)
     inside = torch.zeros_like(lower, dtype=torch.bool)
     if scene.meshes.has_solids:

@@ -33,7 +33,7 @@ def find_candidates(
         bodies: the scene in motion.
         pairs: (P, 2) int64 body pairs, i < j, or (i, i) for a body tested against itself; P below 2^31.
         min_separation: length.
-        tolerance: length; default 1e-6 of the smaller body of each pair, SBV radius and margin.
+        tolerance: length; default 1e-6 of the smaller SBV radius of each pair.
         horizon: (P,) float64 in [0, 1]: end of the time searched for each pair. Default: the whole step.
         initial: as for `pgccd.detect`.
 

@@ -18,13 +18,23 @@ def _feature_pairs(
     x: np.ndarray, faces_x: np.ndarray, y: np.ndarray, faces_y: np.ndarray
 ) -> Iterator[tuple[np.ndarray, bool]]:
     """Points (n, 4, 3), and whether they are a vertex and a face or two edges, of all pairs of features."""
-    edges_x, edges_y = (x[unique_edges(faces_x)], y[unique_edges(faces_y)])
+    edges_x, edges_y = x[_edges(faces_x)], y[_edges(faces_y)]
     sides = ((x[np.unique(faces_x)][:, None], y[faces_y], True), (y[np.unique(faces_y)][:, None], x[faces_x], True))
     for first, second, is_face in (*sides, (edges_x, edges_y, False)):
+        if len(second) == 0:
+            continue
         for begin in range(0, len(first), max(1, _ROWS // len(second))):
             part = first[begin : begin + max(1, _ROWS // len(second))]
             i, j = np.repeat(np.arange(len(part)), len(second)), np.tile(np.arange(len(second)), len(part))
             yield np.concatenate([part[i], second[j]], axis=1), is_face
+
+
+def _edges(faces: np.ndarray) -> np.ndarray:
+    """(E, 2) of faces, of which some may be segments (a, b, b) or points (a, a, a)."""
+    is_triangle = faces[:, 1] != faces[:, 2]
+    is_segment = ~is_triangle & (faces[:, 0] != faces[:, 1])
+    of_triangles = unique_edges(faces[is_triangle]) if is_triangle.any() else np.empty((0, 2), dtype=np.int64)
+    return np.concatenate([of_triangles, faces[is_segment][:, :2]])
 
 
 def boundary_distance(x: np.ndarray, faces_x: np.ndarray, y: np.ndarray, faces_y: np.ndarray) -> float:

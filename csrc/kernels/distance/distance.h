@@ -14,7 +14,7 @@ struct DistanceInput {
   const int64_t* pairs;  // (pair_count, 2) body indices
   int64_t pair_count;
   double cutoff;     // of thickened surfaces; pairs certainly further apart are searched no further
-  double tolerance;  // as in `pair_tolerance`: a search ends when the bounds are so close
+  double tolerance;  // as in `distance_tolerance`: a search ends when the bounds are so close
 };
 
 // Rows of the outputs.

@@ -382,7 +382,7 @@ PGCCD_HD void find_distance(const Bodies& bodies, const DistanceInput& input, in
   const double at_most = pair_separation(bodies.centres, i, j, 0.0);
   const double beyond = std::nextafter(input.cutoff, static_cast<double>(INFINITY));
   const DistanceGoal goal{at_least, at_most, add_up(beyond, at_most),
-                          pair_tolerance(bodies.centres, i, j, input.tolerance)};
+                          distance_tolerance(bodies.centres, i, j, input.tolerance)};
   const DistanceFound found = DistanceSearch<MovingPair<Bodies>>(pair, goal, memory).run();
   const double lower = larger(add_down(found.lower, -at_most), 0.0);
   const bool has_points = found.upper < INFINITY && !(lower > input.cutoff);

@@ -13,6 +13,15 @@ PGCCD_HD double distance_rounding(double point_error, double extent) {
   return 2.0 * point_error + 32.0 * Precision<double>::unit * extent;
 }
 
+// As `pair_tolerance`, of thickened bodies: a small one with a large margin is not small.
+PGCCD_HD double distance_tolerance(const BodyCentres& centres, int64_t i, int64_t j, double tolerance) {
+  if (!(tolerance < 0.0)) return tolerance;
+  const auto radius = [&](int64_t k) {
+    return centres.margin == nullptr ? centres.radius[k] : centres.radius[k] + centres.margin[k];
+  };
+  return -tolerance * smaller(radius(i), radius(j));
+}
+
 template <class Bodies>
 class MovingPair;
 
