@@ -49,8 +49,7 @@ def checked(points: np.ndarray, table: np.ndarray) -> np.ndarray:
     if len(table) == 0:
         raise ValueError("faces: the mesh holds no triangles, segments or points")
     first, second, third = table.T
-    is_point, is_segment = (first == second) & (second == third), (first != second) & (second == third)
-    kind = np.where(is_point, 2, np.where(is_segment, 1, 0))
+    kind = kinds(table)
     is_wrong = (kind == 0) & ((first == second) | (first == third))
     is_wrong[1:] |= kind[1:] < kind[:-1]
     if is_wrong.any():
@@ -59,16 +58,20 @@ def checked(points: np.ndarray, table: np.ndarray) -> np.ndarray:
             f"faces: expected triangles, then segments (a, b, b), then points (a, a, a), got {table[row].tolist()} in "
             f"row {row}"
         )
-    _refuse_twice(first[is_point])
+    _refuse_twice(first[kind == 2])
     return table
+
+
+def kinds(table: np.ndarray) -> np.ndarray:
+    """(F,): 0 for triangles, 1 for segments, 2 for points of a table (F, 3)."""
+    repeats = table[:, 1] == table[:, 2]
+    return repeats.astype(np.int64) + (repeats & (table[:, 0] == table[:, 1]))
 
 
 def counts(table: np.ndarray) -> tuple[int, int, int]:
     """Numbers of triangles, segments and points of a table (F, 3)."""
-    repeats = table[:, 1] == table[:, 2]
-    single = int((repeats & (table[:, 0] == table[:, 1])).sum())
-    both = int(repeats.sum())
-    return len(table) - both, both - single, single
+    triangles, segments, points = np.bincount(kinds(table), minlength=3).tolist()
+    return triangles, segments, points
 
 
 def centre(points: np.ndarray, table: np.ndarray) -> np.ndarray:

@@ -119,12 +119,21 @@ class Mesh:
         thickness: float = 0.0,
     ) -> None:
         x = as_array(vertices, np.float64, "vertices", 3)
-        table = elements.elements(x, faces, segments, points)
+        self._set_elements(x, elements.elements(x, faces, segments, points), origin, solid, thickness)
+        if arguments.is_float32(vertices):
+            warn_of_rounding(x, self.faces.long().numpy())
+
+    @classmethod
+    def _of_elements(cls, x: np.ndarray, table: np.ndarray, *, solid: Solid = False, thickness: float = 0.0) -> Mesh:
+        """A mesh of vertices (V, 3) and a table of elements (F, 3) in any order."""
+        ordered = table[np.argsort(elements.kinds(table), kind="stable")]
+        mesh = cls.__new__(cls)
+        mesh._set_elements(x, elements.checked(x, ordered), (0.0, 0.0, 0.0), solid, thickness)
+        return mesh
+
+    def _set_elements(self, x: np.ndarray, table: np.ndarray, origin: Origin, solid: Solid, thickness: float) -> None:
         self.solid = is_solid(solid, x, table)
         self.thickness = _checked_thickness(thickness)
-        if arguments.is_float32(vertices):
-            warn_of_rounding(x, table)
-
         centre = elements.centre(x, table)
         reference = origin_point(origin, x, table, centre)
         # Coordinates relative to the origin are taken as exact; all else is derived from them.
@@ -152,7 +161,7 @@ class Mesh:
                 f"vertices: the mesh has SBV radius {radius:g}; "
                 f"it must lie in [{SMALLEST_RADIUS:g}, {LARGEST_RADIUS:g}]"
             )
-        if float(np.abs(offset).max()) > _FURTHEST_ORIGIN * radius:
+        if float(np.abs(offset).max()) > _FURTHEST_ORIGIN * radius and not is_one_place:
             raise ValueError(
                 f"origin: it must lie within {_FURTHEST_ORIGIN:g} SBV radii of the SBV centre {centre.tolist()}, of "
                 f'which one is {radius:g}, but it is {reference.tolist()}; origin="centroid" puts it there'

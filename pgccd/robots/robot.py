@@ -118,11 +118,9 @@ class Robot:
                 alike = [each for each in surfaces if (each.infinite, each.thickness, each.group) == kind]
                 surface = joined([each.widened(half) if each.infinite else each for each in alike])
                 try:
-                    mesh = Mesh(surface.vertices, surface.faces, solid=surface.solid, thickness=kind[1])
+                    meshes.append(surface.mesh(link))
                 except ValueError as error:
                     raise ValueError(f"link {link!r}: {error}") from error
-                mesh.name = link
-                meshes.append(mesh)
                 owners.append(number)
                 frames.append(frame)
                 groups.append(kind[2])
@@ -195,7 +193,7 @@ class Robot:
             >>> robot.hollow
             []
         """
-        return list(dict.fromkeys(mesh.name or "" for mesh in self.meshes if not mesh.solid and not mesh.thickness))
+        return list(dict.fromkeys(mesh.name or "" for mesh in self.meshes if mesh.triangle_count and not mesh.solid))
 
     @property
     def untested(self) -> list[tuple[str, str, str]]:

@@ -1,4 +1,4 @@
-"""Collision shapes of links as thick surfaces: triangles, and the thickness of their meshes."""
+"""Collision shapes of links as thick surfaces: triangles, segments or points, and the thickness of their meshes."""
 
 from __future__ import annotations
 
@@ -7,20 +7,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pgccd.geometry import shapes
+from pgccd.geometry.mesh import Mesh
 from pgccd.geometry.solids import Solid
 from pgccd.robots.kinematics import turned
 
 # Corners of the polygon around a cylinder, and divisions of an icosahedron around an ellipsoid.
 _SECTIONS, _SUBDIVISIONS = 64, 3
-# Size of the triangle at the centre of a sphere, in radii.
-_POINT = 2.0**-30
 #: Half the side of the square in place of an infinite plane, at least; length units.
 PLANE = 1e4
 
 
 @dataclass(frozen=True)
 class ThickSurface:
-    """Triangles, thickened by a length.
+    """Triangles, segments (a, b, b) and points (a, a, a), thickened by a length.
 
     Attributes:
         vertices: (V, 3).
@@ -48,8 +47,21 @@ class ThickSurface:
 
     def scaled(self, scale: np.ndarray) -> ThickSurface:
         """With coordinates multiplied by factors (3,). Mirrored triangles keep their outside."""
-        faces = self.faces[:, ::-1] if np.prod(np.sign(scale)) < 0.0 else self.faces
-        return replace(self, vertices=self.vertices * scale, faces=np.ascontiguousarray(faces))
+        faces = self.faces.copy()
+        if np.prod(np.sign(scale)) < 0.0:
+            is_triangle = faces[:, 1] != faces[:, 2]
+            faces[is_triangle] = faces[is_triangle, ::-1]
+        return replace(self, vertices=self.vertices * scale, faces=faces)
+
+    def mesh(self, name: str) -> Mesh:
+        """The mesh, without a frame of its own.
+
+        Raises:
+            ValueError: as for `Mesh`.
+        """
+        mesh = Mesh._of_elements(self.vertices, self.faces, solid=self.solid, thickness=self.thickness)
+        mesh.name = name
+        return mesh
 
     def widened(self, half: float) -> ThickSurface:
         """With half the side of a square of 2 PLANE, in place of an infinite plane, as given."""
@@ -72,17 +84,15 @@ def box(size: np.ndarray) -> ThickSurface:
 
 
 def sphere(radius: float) -> ThickSurface:
-    """A point with a thickness: a triangle around it, of 10^-9 radii."""
-    corners = _POINT * radius * np.array([[1.0, 0.0, 0.0], [-1.0, 1.0, 0.0], [-1.0, -1.0, 0.0]])
-    return ThickSurface(corners, np.array([[0, 1, 2]]), radius)
+    """A point with a thickness."""
+    return ThickSurface(np.zeros((1, 3)), np.array([[0, 0, 0]]), radius)
 
 
 def capsule(radius: float, half_length: float) -> ThickSurface:
-    """A segment along z with a thickness: a triangle without area."""
+    """A segment along z with a thickness."""
     if not half_length > 0.0:
         return sphere(radius)
-    corners = np.array([[0.0, 0.0, -half_length], [0.0, 0.0, half_length], [0.0, 0.0, 0.0]])
-    return ThickSurface(corners, np.array([[0, 1, 2]]), radius)
+    return ThickSurface(np.array([[0.0, 0.0, -half_length], [0.0, 0.0, half_length]]), np.array([[0, 1, 1]]), radius)
 
 
 def cylinder(radius: float, half_length: float) -> ThickSurface:

@@ -40,10 +40,9 @@ class Bodies:
         if key not in self._known:
             try:
                 made = surface()
-                mesh = Mesh(made.vertices, made.faces, solid="auto", thickness=made.thickness)
+                mesh = made.mesh(name)
             except ValueError as error:
                 raise ValueError(f"{name}: {error}") from error
-            mesh.name = name
             self._known[key] = len(self._meshes)
             self._surfaces.append(made)
             self._meshes.append(mesh)
@@ -84,9 +83,7 @@ class Bodies:
         meshes = list(self._meshes)
         for k, each in enumerate(self._surfaces):
             if each.infinite:
-                wide = each.widened(self._half)
-                meshes[k] = Mesh(wide.vertices, wide.faces, solid="auto", thickness=wide.thickness)
-                meshes[k].name = self._meshes[k].name
+                meshes[k] = each.widened(self._half).mesh(self._meshes[k].name or "")
         pairs = torch.from_numpy(exclude.reshape(-1, 2).astype(np.int64)).to(device)
         return Scene(
             meshes,
