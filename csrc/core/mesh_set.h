@@ -78,7 +78,8 @@ struct CornerColumns {
   int64_t stride;
 };
 
-// Which meshes are solids, and one vertex of each connected piece of every mesh. All null if none is a solid.
+// Which meshes are solids, and one vertex of each connected piece of triangles and segments of every mesh. All null if
+// none is a solid.
 struct SolidColumns {
   const uint8_t* is_solid;     // (meshes,)
   const int64_t* piece_begin;  // (meshes + 1,) first rows of the meshes' pieces
@@ -105,6 +106,11 @@ struct MeshSetView {
   const double* boxes;  // (meshes, 4, 3) centre of a box and half of its edges, relative to the SBV centre; 0: none
   SolidColumns solids;
 };
+
+// Points are the last elements of a mesh.
+PGCCD_HD bool has_points(const MeshSetView& meshes, int64_t mesh) {
+  return meshes.triangles[meshes.offsets[mesh + 1].face - 1].kind() == ElementKind::kPoint;
+}
 
 PGCCD_HD bool is_solid(const MeshSetView& meshes, int64_t mesh) {
   return meshes.solids.is_solid != nullptr && meshes.solids.is_solid[mesh] != 0;

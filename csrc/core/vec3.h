@@ -53,6 +53,10 @@ PGCCD_HD T norm(Vec3<T> a) {
   return square_root(dot(a, a));
 }
 template <class T>
+PGCCD_HD T sum_of_magnitudes(Vec3<T> a) {
+  return (magnitude(a.x) + magnitude(a.y)) + magnitude(a.z);
+}
+template <class T>
 PGCCD_HD T max_abs(Vec3<T> a) {
   return larger(larger(magnitude(a.x), magnitude(a.y)), magnitude(a.z));
 }

@@ -92,6 +92,7 @@ def _corner_rows(meshes: MeshSet, mesh: Tensor, what: Tensor, row: Tensor) -> Te
         what, row: see `_feature_rows`.
     """
     _, faces, edges, *_ = meshes.tensors  # vertices of their mesh
+    edges = edges if len(edges) else edges.new_zeros((1, 2))  # points have none
     of_face = faces[torch.where(what == FACE, row, 0)]
     of_edge = edges[torch.where(what == EDGE, row, 0)][:, [[0], [1]], [[0, 1, 0], [0, 0, 1]]]
     what, first = what[:, :, None], meshes.offsets[:, 0].to(mesh.device)[mesh][:, :, None]

@@ -6,6 +6,7 @@ import copy
 from collections.abc import Sequence
 from functools import cached_property
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -145,10 +146,15 @@ def _joined(columns: list[Tensor], dim: int = 0) -> Tensor:
 
 def _solid_columns(meshes: Sequence[Mesh], are_solid: list[bool]) -> tuple[Tensor, Tensor, Tensor]:
     """Which meshes are solids, (meshes,) uint8; the first row of each one's pieces, (meshes + 1,) int64; and a vertex
-    of each piece, int32. All empty if none is a solid.
+    of each piece of triangles and segments, int32. All empty if none is a solid.
     """
     if not any(are_solid):
         return torch.empty(0, dtype=torch.uint8), torch.empty(0, dtype=torch.int64), torch.empty(0, dtype=torch.int32)
-    pieces = [torch.from_numpy(vertices_of_components(mesh.faces.numpy())).int() for mesh in meshes]
+    pieces = [torch.from_numpy(_pieces(mesh)).int() for mesh in meshes]
     begin = torch.tensor([0, *(len(vertices) for vertices in pieces)]).cumsum(0)
     return torch.tensor(are_solid, dtype=torch.uint8), begin, torch.cat(pieces)
+
+
+def _pieces(mesh: Mesh) -> np.ndarray:
+    joined = mesh.faces[: mesh.triangle_count + mesh.segment_count].numpy()
+    return vertices_of_components(joined) if len(joined) else np.empty(0, dtype=np.int64)

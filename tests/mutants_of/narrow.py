@@ -418,8 +418,8 @@ MUTANTS = [
     Mutant(
         "pair-tolerance-of-the-larger",
         CORE + "bodies.h",
-        "smaller(centres.radius[i], centres.radius[j])",
-        "larger(centres.radius[i], centres.radius[j])",
+        "smaller(size_of(centres, i), size_of(centres, j))",
+        "larger(size_of(centres, i), size_of(centres, j))",
         ON_NARROW,
     ),
     Mutant(

@@ -21,7 +21,7 @@ def _mutant(name: str, file: str, old: str, new: str, killed_by: tuple[str, ...]
 MUTANTS = [
     _mutant("cylinder-inside", SHAPES, "around = radius / np.cos(np.pi / _SECTIONS)", "around = radius", ON_FILES),
     _mutant("ellipsoid-inside", SHAPES, "vertices * (radii / inner)", "vertices * radii", ON_FILES),
-    _mutant("capsule-half", SHAPES, "[0.0, 0.0, half_length], [0", "[0.0, 0.0, 0.9 * half_length], [0", ON_ORACLES),
+    _mutant("capsule-half", SHAPES, "[0.0, 0.0, half_length]]", "[0.0, 0.0, 0.9 * half_length]]", ON_ORACLES),
     _mutant(
         "placed-unturned",
         SHAPES,
@@ -60,7 +60,7 @@ MUTANTS = [
     _mutant("simulator-plane-narrow", BODIES, "max(PLANE, 4.0 * float((away + reach).max()))", "PLANE", ON_SIMULATORS),
     _mutant("simulator-leaves-plane", BODIES, "lateral + self._reach <=", "lateral <=", ON_SIMULATORS),
     _mutant("simulator-lateral-one-axis", BODIES, " + (away @ other) ** 2", "", ON_SIMULATORS),
-    _mutant("simulator-thickness-dropped", BODIES, "thickness=made.thickness", "thickness=0.0", ON_ORACLES),
+    _mutant("simulator-thickness-dropped", SHAPES, "thickness=self.thickness)", "thickness=0.0)", ON_ORACLES),
     _mutant("mujoco-parents-tested", MUJOCO, "never |= related &", "never &= related &", ON_SIMULATORS),
     _mutant("mujoco-pairs-filtered", MUJOCO, "never &= ~np.isin(one", "never |= ~np.isin(one", ON_SIMULATORS),
     _mutant("mujoco-pairs-unseen", MUJOCO, "model.pair_geom2])] = True", "model.pair_geom2])] |= False", ON_SIMULATORS),

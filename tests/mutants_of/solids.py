@@ -11,7 +11,7 @@ ON_SOLIDS = ("search/test_solids.py",)
 ON_THICKNESS = ("search/test_thickness.py",)
 ON_ENCLOSED = ("search/test_enclosed.py",)
 PASSES = "turn != 0 && static_cast<int>(volume()) == turn ? turn : 0"
-OFFSET = "(between + point) - centre"
+OFFSET = "(between + turned) - centre_of_solid"
 
 
 def _winding(name: str, old: str, new: str, within: str = "") -> Mutant:
@@ -63,11 +63,11 @@ MUTANTS = [
     _enclosures("first-piece", "piece < solids.piece_begin[mesh + 1]", "piece < solids.piece_begin[mesh] + 1"),
     _enclosures(
         "half-a-sphere",
-        "reach * reach * (1.0 + enclosures_detail::kRounding)",
-        "0.25 * reach * reach * (1.0 + enclosures_detail::kRounding)",
+        "most * most * (1.0 + kRounding)",
+        "0.25 * most * most * (1.0 + kRounding)",
     ),
-    _enclosures("about-the-origin", OFFSET, "between + point"),
-    _enclosures("however-placed", OFFSET, "point - centre"),
+    _enclosures("about-the-origin", OFFSET, "between + turned"),
+    _enclosures("however-placed", OFFSET, "turned - centre_of_solid"),
     _python(
         "auto-inwards",
         "geometry/solids.py",

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 from oracle.surfaces import boundary_distance
-from support.distances import Moving, assert_bounds_exactly
+from support.distances import Moving, assert_bounds_exactly, turned
 from support.hierarchies import assert_encloses, prepared, walk
 from support.shapes import bumpy, directions, tensors, unit_quaternions
 
@@ -330,6 +330,27 @@ def test_normals_and_gradients(device: torch.device) -> None:
     away = pgccd.RigidMotion(y0, q[[0, 0]], y1, q[[0, 0]])
     touching = pgccd.detect(pair, away, tolerance=1e-3)
     assert len(touching) == 1 and len(pgccd.approaching(pair, away, touching, slack=1e-3)) == 0
+
+
+@pytest.mark.parametrize("deforms", [False, True])
+def test_points_of_clouds_inside_solids(deforms: bool, device: torch.device) -> None:
+    """Each is a piece of its own; off the origin of the cloud, which turns."""
+    rng = np.random.default_rng(11)
+    x = rng.uniform(-3.0, 3.0, (3000, 3)) + [5.0, 1.0, 0.0]
+    cloud, box = pgccd.Mesh.points(x), pgccd.Mesh.box([1.0, 2.0, 3.0], solid=True)
+    turn = unit_quaternions(rng, 1)[0]
+    place = turned(turn, x) + [1.0, 2.0, 3.0]
+    centre = place[17] + [0.1, 0.2, 0.3]
+    is_inside = (np.abs(place - centre) < [0.5, 1.0, 1.5]).all(axis=1)
+    if deforms:
+        (vertices,) = tensors(np.concatenate([place, box.vertices.numpy() + centre]).tolist(), device=device)
+        motion: pgccd.RigidMotion | pgccd.VertexMotion = pgccd.VertexMotion(vertices, vertices)
+    else:
+        at, q = tensors([[1.0, 2.0, 3.0], centre.tolist()], [turn.tolist(), [1.0, 0, 0, 0]], device=device)
+        motion = pgccd.RigidMotion.at_rest(at, q)
+    hits = pgccd.detect(pgccd.Scene([cloud, box], device=device), motion, "all")
+    found = sorted(hits.features[hits.kind == pgccd.Kind.INSIDE][:, 0].tolist())
+    assert found == np.flatnonzero(is_inside).tolist() and len(found) > 5
 
 
 def test_arguments_are_named() -> None:

@@ -26,10 +26,13 @@ def both(seed: int) -> tuple[RandomScene, RandomScene]:
     scene = random_scene(seed)
     unit = min(mesh.radius for mesh in scene.meshes)
     thickness = [0.0, *(unit * np.random.default_rng([seed, 8]).uniform(0.01, 0.3, len(scene.meshes) - 1)).tolist()]
+    meshes = [mesh.thickened(0.0) for mesh in scene.meshes]
     filters = {name: column for name, column in scene.filters.items() if name != "margin"}
-    thick = [mesh.thickened(each) for mesh, each in zip(scene.meshes, thickness, strict=True)]
+    thick = [mesh.thickened(each) for mesh, each in zip(meshes, thickness, strict=True)]
     margin = torch.tensor(thickness, dtype=torch.float64)[scene.mesh_index.long()]
-    return replace(scene, meshes=thick, filters=filters), replace(scene, filters=filters | {"margin": margin})
+    return replace(scene, meshes=thick, filters=filters), replace(
+        scene, meshes=meshes, filters=filters | {"margin": margin}
+    )
 
 
 @pytest.mark.parametrize("seed", range(8))

@@ -66,6 +66,9 @@ class RandomScene:
         filters = "".join(f", {name}" for name in self.filters)
         filters += "" if self.exclude is None else f", {len(self.exclude)} excluded pairs"
         filters += ", solids" if any(mesh.solid for mesh in self.meshes) else ""
+        filters += ", points" if any(mesh.point_count for mesh in self.meshes) else ""
+        filters += ", segments" if any(mesh.segment_count for mesh in self.meshes) else ""
+        filters += ", thick" if any(mesh.thickness for mesh in self.meshes) else ""
         arguments = ", ".join(f"{name}={value!r}" for name, value in self.arguments.items())
         return f"seed {self.seed}: {len(self.mesh_index)} bodies, {self.layout}, {self.kind}{filters}; {arguments}"
 
@@ -93,8 +96,9 @@ def random_scene(seed: int) -> RandomScene:
     count = int(rng.integers(1 if kind == "deforming" else 2, _MOST_BODIES))
     meshes = [_cube(rng) for _ in range(2)] if on_lattice else [_mesh(rng, layout) for _ in range(3)]
     meshes = some_solids(np.random.default_rng([seed, 3]), meshes)
+    meshes = some_elements(np.random.default_rng([seed, 4]), meshes, 0.25 if on_lattice else None)
     mesh_index = rng.integers(len(meshes), size=count)
-    sizes = np.array([meshes[k].radius for k in mesh_index])
+    sizes = np.array([meshes[k].radius + meshes[k].thickness for k in mesh_index])
     steps = int(rng.integers(2, 4)) if "trajectory" in kind else 1
     place, velocity = _places(rng, layout, sizes, steps)
     unit = min(
@@ -147,6 +151,38 @@ def some_solids(rng: np.random.Generator, meshes: list[pgccd.Mesh]) -> list[pgcc
         return meshes
     larger = pgccd.Mesh(5.0 * meshes[0].vertices.numpy(), meshes[0].faces)
     return [mesh.as_solid("auto") if rng.uniform() < 0.7 else mesh for mesh in [larger, *meshes[1:]]]
+
+
+def some_elements(rng: np.random.Generator, meshes: list[pgccd.Mesh], step: float | None) -> list[pgccd.Mesh]:
+    """In half of the scenes some of the meshes are thick, or have points and segments, with the vertices of the mesh;
+    coordinates and thickness are multiples of `step`.
+    """
+    if rng.integers(2):
+        return meshes
+    return [_elements(rng, mesh, step) if rng.uniform() < 0.6 else mesh for mesh in meshes]
+
+
+def _elements(rng: np.random.Generator, mesh: pgccd.Mesh, step: float | None) -> pgccd.Mesh:
+    thickness = float(rng.choice([0.0, 0.125, 0.25, 0.5]))
+    if step is None:
+        thickness *= rng.uniform(0.1, 1.0) * mesh.radius
+    x, edges, faces = mesh.vertices.numpy(), mesh.edges.numpy(), mesh.faces.numpy()
+    kind = rng.integers(6)
+    if kind == 0:
+        return mesh.thickened(thickness)
+    if kind == 1:
+        return pgccd.Mesh.points(x, thickness)
+    if kind == 2:
+        return pgccd.Mesh.segments(
+            x, edges[rng.uniform(size=len(edges)) < 0.5] if len(edges) > 20 else edges, thickness
+        )
+    if kind == 3:
+        return pgccd.Mesh.sphere(step or mesh.radius).thickened(thickness or 2 * (step or mesh.radius))
+    if kind == 4:
+        return pgccd.Mesh.segments(x[edges[0]], [[0, 1]], thickness)
+    kept = faces[: 1 + len(faces) // 2]
+    loose = np.setdiff1d(np.arange(len(x)), kept)
+    return pgccd.Mesh(x, kept, segments=edges[:: 1 + len(edges) // 4], points=loose, thickness=thickness)
 
 
 def excluded(rng: np.random.Generator, count: int) -> Tensor | None:

@@ -6,9 +6,6 @@
 namespace pgccd {
 namespace contacts_detail {
 
-// Of the magnitudes of its coordinates.
-PGCCD_HD double sum_of(Vec3<double> v) { return magnitude(v.x) + magnitude(v.y) + magnitude(v.z); }
-
 // Corners of a triangle, or of a part of it, on their paths: constant + first t; of a body that turns constant + first
 // cos(angle t) + second sin(angle t).
 struct MovingCorners {
@@ -18,7 +15,7 @@ struct MovingCorners {
   PGCCD_HD double size(double angle) const {
     double largest = 0.0;
     for (int k = 0; k < 3; ++k) {
-      largest = larger(sum_of(constant[k]) + (1.0 + angle) * (sum_of(first[k]) + sum_of(second[k])), largest);
+      largest = larger(sum_of_magnitudes(constant[k]) + (1.0 + angle) * (sum_of_magnitudes(first[k]) + sum_of_magnitudes(second[k])), largest);
     }
     return largest;
   }

@@ -43,8 +43,6 @@ PGCCD_HD double exact_volume_of(const EdgeAndFace<DoubleDouble>& x, double scale
                       scaled(scale, x.point[at[3]]));
 }
 
-PGCCD_HD double sum_of_magnitudes(Vec3<double> v) { return (magnitude(v.x) + magnitude(v.y)) + magnitude(v.z); }
-
 enum class Sign : int32_t { kNegative = -1, kZero = 0, kPositive = 1, kOpen = 2 };
 PGCCD_HD Sign sign_of(double x) { return x > 0.0 ? Sign::kPositive : (x < 0.0 ? Sign::kNegative : Sign::kZero); }
 

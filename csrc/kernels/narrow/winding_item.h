@@ -15,8 +15,6 @@ struct Ray {
 // Any rounding of the frame is far below it.
 constexpr double kFrameRounding = 0x1p-40;
 
-PGCCD_HD double coordinate_sum(Vec3<double> v) { return (magnitude(v.x) + magnitude(v.y)) + magnitude(v.z); }
-
 PGCCD_HD Ray ray_from(const RigidBodies& bodies, const RigidPair& pair, int side, int64_t vertex) {
   const int solid = 1 - side;
   const Vec3<double> shift = side == 0 ? pair.centre.at_t0 : -pair.centre.at_t0;
@@ -25,7 +23,7 @@ PGCCD_HD Ray ray_from(const RigidBodies& bodies, const RigidPair& pair, int side
   const Vec3<double> offset = point - shift;
   const Mat3<double>& m = pair.orientation[solid];
   const Vec3<double> turned_back = offset.x * m.r0 + offset.y * m.r1 + offset.z * m.r2;
-  const double size = coordinate_sum(shift) + coordinate_sum(point) + mesh_reach(bodies, pair.body[solid]);
+  const double size = sum_of_magnitudes(shift) + sum_of_magnitudes(point) + mesh_reach(bodies, pair.body[solid]);
   return {turned_back - mesh_centre(bodies, pair.body[solid]), m.r0, kFrameRounding * size};
 }
 
@@ -33,7 +31,7 @@ PGCCD_HD Ray ray_from(const DeformingBodies& bodies, const DeformingPair& pair, 
   const int64_t solid = pair.body[1 - side];
   const double* point = bodies.vertices_t0 + 3 * (bodies.vertex_begin[pair.body[side]] + vertex);
   const Vec3<double> start = load_vec3(point) - load_vec3(bodies.centres.position_t0 + 3 * solid);
-  return {start, {1.0, 0.0, 0.0}, kFrameRounding * (coordinate_sum(start) + bodies.centres.radius[solid])};
+  return {start, {1.0, 0.0, 0.0}, kFrameRounding * (sum_of_magnitudes(start) + bodies.centres.radius[solid])};
 }
 
 PGCCD_HD const NodeBlock* blocks_at_start(const RigidBodies& bodies, int64_t body) {
