@@ -10,6 +10,10 @@
 namespace pgccd {
 namespace {
 
+constexpr int kBits = 14;  // an axis
+// Rows are read in no order: so many ahead of their use.
+constexpr size_t kAhead = 24;
+
 // Interleaves the bits of three numbers below 2^21.
 uint64_t morton_code(const std::array<uint32_t, 3>& cell) {
   uint64_t code = 0;
@@ -39,19 +43,19 @@ std::vector<int32_t> along_curve(const double* vertices, const std::vector<Face>
   }
   const Double4 extent = high - low;
   const double largest = std::max({extent[0], extent[1], extent[2]});
-  const double scale = largest > 0.0 ? 0x1.fffffp+19 / largest : 0.0;  // 20 bits an axis, two for the kind
+  const double scale = largest > 0.0 ? ((1 << kBits) - 0.5) / largest : 0.0;
   std::vector<std::pair<uint64_t, int32_t>> keys(faces.size());
   for (size_t f = 0; f < faces.size(); ++f) {
     const Double4 at = (first(faces[f]) - low) * scale;
     const std::array<uint32_t, 3> cell{static_cast<uint32_t>(at[0]), static_cast<uint32_t>(at[1]),
                                        static_cast<uint32_t>(at[2])};
     const auto kind = static_cast<uint64_t>(kind_of(faces[f]));
-    keys[f] = {kind << 60 | morton_code(cell), static_cast<int32_t>(f)};
+    keys[f] = {kind << 3 * kBits | morton_code(cell), static_cast<int32_t>(f)};
   }
   // A radix sort: keys are many.
   constexpr int kDigit = 11;
   std::vector<std::pair<uint64_t, int32_t>> sorted(keys.size());
-  for (int shift = 0; shift < 62; shift += kDigit) {
+  for (int shift = 0; shift < 3 * kBits + 2; shift += kDigit) {
     std::array<size_t, (1 << kDigit) + 1> begin{};
     const auto digit = [shift](uint64_t key) { return key >> shift & ((1 << kDigit) - 1); };
     for (const auto& [key, f] : keys) ++begin[digit(key) + 1];
@@ -74,6 +78,12 @@ MeshInSpace order_in_space(const double* vertices, int64_t vertex_count, const s
   mesh.vertex_of.reserve(static_cast<size_t>(vertex_count));
   std::vector<int32_t> number(static_cast<size_t>(vertex_count), -1);
   for (size_t k = 0; k < faces.size(); ++k) {
+    if (k + 2 * kAhead < faces.size()) __builtin_prefetch(&faces[mesh.face_of[k + 2 * kAhead]]);
+    if (k + kAhead < faces.size()) {
+      const int32_t v = faces[mesh.face_of[k + kAhead]][0];
+      __builtin_prefetch(&number[v]);
+      __builtin_prefetch(&vertices[3 * int64_t{v}]);
+    }
     for (int corner = 0; corner < 3; ++corner) {
       const int32_t v = faces[mesh.face_of[k]][corner];
       if (number[v] < 0) {

@@ -47,7 +47,13 @@ std::vector<int32_t> representatives(const std::vector<Face>& faces, const Topol
   std::vector<bool> vertex_taken(vertex_count, false), edge_taken(topology.edges.size(), false);
   std::vector<int32_t> represented;
   represented.reserve(order.size());
-  for (const int32_t f : order) {
+  for (size_t k = 0; k < order.size(); ++k) {
+    const int32_t f = order[k];
+    constexpr size_t kAhead = 24;  // faces of large meshes are read in no order
+    if (k + kAhead < order.size()) {
+      __builtin_prefetch(&faces[order[k + kAhead]]);
+      __builtin_prefetch(&topology.face_edges[order[k + kAhead]]);
+    }
     int32_t bits = static_cast<int32_t>(kind_of(faces[f])) << 6;
     for (int corner = 0; corner < 3; ++corner) {
       const int32_t vertex = faces[f][corner], edge = topology.face_edges[f][corner];

@@ -85,7 +85,9 @@ def centre(points: np.ndarray, table: np.ndarray) -> np.ndarray:
     if len(triangles):
         # Relative to the first corner, so that a mesh far from the origin keeps its digits.
         first = points[table[0, 0]]
-        return first + (points[triangles] - first).reshape(-1, 3).mean(axis=0)
+        corners = points[triangles]
+        corners -= first
+        return first + corners.reshape(-1, 3).mean(axis=0)
     corners = used(points, table)
     return 0.5 * (corners.min(axis=0) + corners.max(axis=0))
 
@@ -102,7 +104,9 @@ def _rows(given: Rows | None, name: str, width: int | None) -> np.ndarray:
 
 
 def _refuse_repeats(rows: np.ndarray, name: str, what: str) -> None:
-    repeats = (rows == np.roll(rows, 1, axis=1)).any(axis=1)
+    repeats = rows[:, 0] == rows[:, -1]
+    for column in range(rows.shape[1] - 1):
+        repeats |= rows[:, column] == rows[:, column + 1]
     if repeats.any():
         first = int(np.argmax(repeats))
         raise ValueError(f"{name}: {what} {first} repeats a vertex: {rows[first].tolist()}")
