@@ -40,9 +40,9 @@ inline Incidence incidence_view(const TensorList& t, const TensorList& mesh_set,
   const int64_t vertices = mesh_set[0].size(0), faces = mesh_set[1].size(0), edges = mesh_set[2].size(0);
   STD_TORCH_CHECK(most >= 0 && most <= 3 * faces, "most: expected a number of faces, got ", most);
   return {rows<int64_t>(t[0], "incidence.face_edges", {faces, 3}),
-          row_lists(t[1], t[2], vertices, kAnySize, "incidence.faces_of_vertex"),
+          row_lists(t[1], t[2], vertices, 3 * faces, "incidence.faces_of_vertex"),
           row_lists(t[3], t[4], vertices, 2 * edges, "incidence.edges_of_vertex"),
-          row_lists(t[5], t[6], edges, kAnySize, "incidence.faces_of_edge"),
+          row_lists(t[5], t[6], edges, 3 * faces, "incidence.faces_of_edge"),
           rows<double>(t[7], "incidence.outward", {mesh_set[8].size(0) - 1}),
           most};
 }

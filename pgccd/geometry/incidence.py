@@ -11,10 +11,10 @@ def incidence(vertices: Tensor, faces: Tensor, edges: Tensor, offsets: Tensor) -
 
     Returns:
         face_edges (F, 3) int64, edges of each face, from its first corner to the second, and so on, any edge between
-        equal corners; int64 lists, as
-        begin (n + 1,) and items (m,), of the faces of vertices, the edges of vertices, and the faces of edges; outward
-        (meshes,) float64, 1 if the normals by the order of the corners point out of a closed mesh, -1 if they point
-        into it, 0 if the mesh is open or its faces are not all wound alike. And the longest list of a vertex or edge.
+        equal corners; int64 lists, as begin (n + 1,) and items, of the faces of vertices, the edges of vertices, and
+        the faces of edges, of which segments and points count their vertices and edge once; outward (meshes,) float64,
+        1 if the normals by the order of the corners point out of a closed mesh, -1 if they point into it, 0 if the mesh
+        is open or its faces are not all wound alike. And the longest list of a vertex or edge.
     """
     counts = offsets[1:] - offsets[:-1]
     first_vertex = offsets[:-1, 0]
@@ -34,9 +34,9 @@ def incidence(vertices: Tensor, faces: Tensor, edges: Tensor, offsets: Tensor) -
     is_corner = torch.stack([torch.ones_like(differs[:, 0]), differs[:, 0], differs[:, 1]], 1)
     is_edge = torch.stack([differs[:, 0], differs[:, 1], differs[:, 1]], 1)
     lists = [
-        _lists(faces[is_corner], each_face[is_corner], total),
-        _lists(edges.reshape(-1), each_edge, total),
-        _lists(face_edges[is_edge], each_face[is_edge], len(edges)),
+        _lists(faces[is_corner], each_face[is_corner], total, 3 * len(faces)),
+        _lists(edges.reshape(-1), each_edge, total, 2 * len(edges)),
+        _lists(face_edges[is_edge], each_face[is_edge], len(edges), 3 * len(faces)),
     ]
 
     # Closed and wound alike: two faces at each edge, one along it, one against it.
@@ -53,7 +53,8 @@ def incidence(vertices: Tensor, faces: Tensor, edges: Tensor, offsets: Tensor) -
     return [face_edges, *(column for columns in lists for column in columns), outward], most
 
 
-def _lists(owner: Tensor, items: Tensor, count: int) -> tuple[Tensor, Tensor]:
-    """The lists of `count` owners, from the owner (m,) of each item (m,)."""
+def _lists(owner: Tensor, items: Tensor, count: int, size: int) -> tuple[Tensor, Tensor]:
+    """The lists of `count` owners, from the owner (m,) of each item (m,), padded with zeros to `size` items."""
     ordered, order = torch.sort(owner, stable=True)
-    return torch.searchsorted(ordered, torch.arange(count + 1)), items[order]
+    begin = torch.searchsorted(ordered, torch.arange(count + 1))
+    return begin, torch.nn.functional.pad(items[order], (0, size - len(items)))
