@@ -111,8 +111,8 @@ class Folder {
   Hierarchy tree_;
 };
 
-// Meshes with more faces are put in order first.
-constexpr size_t kManyFaces = 1 << 14;
+// Clouds of more points are put in order first: triangles of files have neighbours in space as neighbours already.
+constexpr size_t kManyPoints = 1 << 14;
 
 Hierarchy build_in_given_order(const double* vertices, int64_t vertex_count, const std::vector<Face>& faces,
                                int leaf_size) {
@@ -127,7 +127,8 @@ Hierarchy build_in_given_order(const double* vertices, int64_t vertex_count, con
 }  // namespace
 
 Hierarchy build_hierarchy(const double* vertices, int64_t vertex_count, const std::vector<Face>& faces, int leaf_size) {
-  if (faces.size() <= kManyFaces) return build_in_given_order(vertices, vertex_count, faces, leaf_size);
+  const bool is_cloud = faces.size() > kManyPoints && kind_of(faces[faces.size() - kManyPoints]) == ElementKind::kPoint;
+  if (!is_cloud) return build_in_given_order(vertices, vertex_count, faces, leaf_size);
   const MeshInSpace mesh = order_in_space(vertices, vertex_count, faces);
   const auto used = static_cast<int64_t>(mesh.vertex_of.size());
   Hierarchy hierarchy = build_in_given_order(mesh.vertices.data(), used, mesh.faces, leaf_size);

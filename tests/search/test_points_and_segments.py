@@ -274,7 +274,7 @@ def test_the_tolerance_of_a_sphere_is_part_of_its_radius(deforms: bool, device: 
 
 @pytest.mark.parametrize("count", [20_000, 3_000])
 def test_hierarchies_of_large_meshes_contain_them(count: int) -> None:
-    """Those with many elements are put in order first."""
+    """Clouds of many points are put in order first."""
     rng = np.random.default_rng(count)
     x = rng.uniform(-1.0, 1.0, (count, 3))
     side = int(np.sqrt(count))

@@ -452,3 +452,35 @@ def test_newton() -> None:
                         continue
                     tally.add((a, b), distance, (i, j) in found, 1e-4, width=min(widths[i], widths[j]))
     tally.check(set(NEWTON_KINDS), 60)
+
+
+def test_distances_are_those_of_spheres_and_capsules() -> None:
+    """MuJoCo computes them in closed form."""
+    mujoco = pytest.importorskip("mujoco")
+    rng = np.random.default_rng(12)
+    sizes = [(0.1, 0.0), (0.3, 0.0), (0.1, 0.4), (0.2, 0.15)]  # radius, half of the segment
+    bodies = "".join(
+        f'<body><freejoint/><geom type="{"capsule" if half else "sphere"}" size="{radius} {half}"/></body>'
+        for radius, half in sizes
+    )
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{bodies}</worldbody></mujoco>")
+    data = mujoco.MjData(model)
+    meshes = [pgccd.Mesh.capsule(r, 2 * h) if h else pgccd.Mesh.sphere(r) for r, h in sizes]
+    scene, pairs = pgccd.Scene(meshes), torch.combinations(torch.arange(len(sizes)))
+    compared = touching = 0
+    for _ in range(200):
+        place, turn = rng.uniform(-0.6, 0.6, (len(sizes), 3)), unit_quaternions(rng, len(sizes))
+        data.qpos[:] = np.concatenate([place, turn], axis=1).ravel()
+        mujoco.mj_kinematics(model, data)
+        still = pgccd.RigidMotion.at_rest(torch.tensor(place), torch.tensor(turn))
+        found = pgccd.distance(scene, still, pairs=pairs)
+        hits = {tuple(pair) for pair in pgccd.detect(scene, still).pairs.tolist()}
+        for (i, j), lower, upper in zip(pairs.tolist(), found.lower.tolist(), found.upper.tolist(), strict=True):
+            expected = mujoco.mj_geomDistance(model, data, i, j, 10.0, None)
+            assert lower - 1e-9 <= max(expected, 0.0) <= upper + 1e-9
+            assert upper - lower < 1e-6
+            if abs(expected) > 1e-6:
+                assert ((i, j) in hits) == (expected < 0.0)
+                touching += expected < 0.0
+            compared += 1
+    assert compared == 1200 and touching > 100
