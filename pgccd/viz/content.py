@@ -139,15 +139,15 @@ def _drawn(animation: Animation, marks: Marks, name_bytes: int, notes: list[str]
         own = 0
         names, first = np.unique(animation.shape_index[order], return_index=True)
         meshes = names[np.argsort(first)]  # in the order of the first body
-        waypoints, pieces = 0, [animation.shapes[k] for k in meshes]
+        waypoints, pieces = 0, [(animation.shapes[k].vertices, animation.shapes[k].faces) for k in meshes]
     else:
         meshes, waypoints = order, len(paths.position)
-        counts = np.array([len(vertices) for vertices, _ in animation.shapes], dtype=np.int64)
+        counts = np.array([len(shape.vertices) for shape in animation.shapes], dtype=np.int64)
         pieces = []
         for body in order:
             shape = animation.shape_index[body]
             first = paths.begin[body]
-            pieces.append((paths.position[:, first : first + counts[shape]], animation.shapes[shape][1]))
+            pieces.append((paths.position[:, first : first + counts[shape]], animation.shapes[shape].faces))
     costs = np.array([stored_bytes(vertices.shape[-2], len(faces), waypoints) for vertices, faces in pieces])
     least = np.minimum(costs, _LEAST_MESH_BYTES * max(1, waypoints)) + own
     kept = max(1, int((np.cumsum(least) <= budget).sum()))
@@ -199,7 +199,10 @@ def _touching_vertices(animation: Animation, marks: Marks) -> dict[int, np.ndarr
             body, feature = int(marks.bodies[row, side]), int(marks.features[row, side])
             shape = int(animation.shape_index[body])
             name = shape if isinstance(animation.paths, RigidPaths) else body
-            of_face = animation.shapes[shape][1][feature] if is_face[row] else np.array([feature])
+            drawn = animation.shapes[shape]
+            if is_face[row] and feature >= drawn.triangle_count:
+                continue  # a segment or point, whose own vertices are not drawn
+            of_face = drawn.faces[feature] if is_face[row] else np.array([feature])
             found.setdefault(name, []).append(of_face.astype(np.int64))
     return {name: np.unique(np.concatenate(vertices)) for name, vertices in found.items()}
 
