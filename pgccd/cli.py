@@ -556,8 +556,7 @@ def _info(options: argparse.Namespace) -> int:
         print(f"{name:<20}{text}")
     for name, mesh in zip(options.meshes, _load_meshes(options.meshes, "MESH") or [], strict=True):
         centre = ", ".join(f"{x:.9g}" for x in mesh.centre.tolist())
-        sizes = _sizes(mesh).items()
-        size = ", ".join(f"{count} {what}" for what, count in sizes if count or what == "vertices")
+        size = ", ".join(f"{count} {what}" for what, count in _sizes(mesh).items() if count)
         print(f"{name}: {size}, SBV centre ({centre}), radius {mesh.radius:.9g}")
     return 0
 

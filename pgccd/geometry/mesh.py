@@ -478,7 +478,8 @@ class Mesh:
         cleaned, source_vertex, source_face = mesh_files.clean(geometry, arguments.flag(weld, "weld"))
         if is_float32(geometry.vertices):  # before welding, which joins vertices that have become equal
             warn_of_rounding(geometry.vertices, geometry.faces, source, stacklevel=4)
-        mesh = cls(cleaned.vertices, origin=origin, solid=solid, **cleaned.elements())
+        faces, segments, points = cleaned.elements()
+        mesh = cls(cleaned.vertices, faces, origin, segments=segments, points=points, solid=solid)
         mesh.name = geometry.name
         mesh.welded_vertices = len(geometry.vertices) - len(cleaned.vertices)
         mesh.dropped_faces = len(geometry.faces) - len(cleaned.faces)

@@ -42,11 +42,11 @@ class Geometry:
         table = np.concatenate([segments[:, [0, 1, 1]], points[:, None].repeat(3, axis=1)])
         return cls(vertices, table, name, np.repeat([1, 2], [len(segments), len(points)]))
 
-    def elements(self) -> dict[str, np.ndarray]:
-        """Triangles, segments and points as arguments of `pgccd.Mesh`."""
+    def elements(self) -> tuple[np.ndarray | None, np.ndarray | None, np.ndarray | None]:
+        """Triangles (T, 3), segments (S, 2) and points (P,)."""
         if self.kinds is None:
-            return {"faces": self.faces}
-        return {"segments": self.faces[self.kinds == 1, :2], "points": self.faces[self.kinds == 2, 0]}
+            return self.faces, None, None
+        return None, self.faces[self.kinds == 1, :2], self.faces[self.kinds == 2, 0]
 
     def scaled(self, factor: float) -> Geometry:
         """With lengths multiplied."""

@@ -204,12 +204,12 @@ def animation_of(
         fractions = np.stack([_array(fractions_of(part, count, scene.device)) for part in each])
     static = None if scene.static is None else _array(scene.static)
     shapes = [drawn(mesh) for mesh in scene.meshes.meshes]
-    index = _array(scene.mesh_index).astype(np.int64)
-    margin = _margins(scene, shapes, index)
+    shape_index = _array(scene.mesh_index).astype(np.int64)
+    margin = _margins(scene, shapes, shape_index)
     animation = Animation(
         shapes=shapes,
-        shape_index=index,
-        paths=paths if isinstance(paths, RigidPaths) else _of_all_drawn(paths, shapes, index),
+        shape_index=shape_index,
+        paths=paths if isinstance(paths, RigidPaths) else _of_all_drawn(paths, shapes, shape_index),
         hit=hit,
         static=np.zeros(count, dtype=bool) if static is None else static.astype(bool),
         ids=np.arange(count),

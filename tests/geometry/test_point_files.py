@@ -49,6 +49,7 @@ def test_vertices_of_a_ply_file_are_points(tmp_path: Path, kind: str) -> None:
         path = written(tmp_path, "cloud.ply", ply(None, kind, other))
         mesh = pgccd.Mesh.load(path)
         assert (mesh.point_count, len(mesh.faces), mesh.welded_vertices, mesh.dropped_faces) == (4, 4, 1, 1)
+        assert mesh.source_vertex is not None and mesh.source_face is not None
         assert mesh.source_vertex.tolist() == mesh.source_face.tolist() == [0, 1, 2, 4]
         assert np.array_equal(mesh.vertices, CORNERS[[0, 1, 2, 4]])
         every = pgccd.Mesh.load(path, weld=False)
@@ -77,10 +78,8 @@ def test_lines_and_points_of_an_obj_file(tmp_path: Path) -> None:
     first, second = pgccd.Mesh.load_all(tmp_path / "wire.obj")
     assert (first.name, first.segment_count, first.point_count) == (None, 2, 0)
     assert (second.name, second.segment_count, second.point_count) == ("end", 1, 2)
+    assert pgccd.Mesh.load(written(tmp_path, "back.obj", "v 0 0 0\nv 1 0 0\nl -2 -1\nv 5 5 5\n")).faces[0, 0] == 0
     assert pgccd.Mesh.load(written(tmp_path, "dots.obj", obj("p 1\np 2 4\n"))).dropped_faces == 1
-    # Of parts with points before the segments of others, segments still come first.
-    joined = pgccd.Mesh.load(written(tmp_path, "two.obj", obj("g a\np 5\ng b\nl 1 2\n")))
-    assert (joined.segment_count, joined.point_count) == (1, 1)
 
 
 def test_lines_and_points_beside_triangles_are_left_out(tmp_path: Path) -> None:
@@ -150,6 +149,11 @@ def test_point_clouds_and_lines_of_trimesh(tmp_path: Path) -> None:
     mesh = pgccd.Mesh.from_trimesh(scene)
     assert (mesh.segment_count, mesh.point_count) == (2, 4)
     assert mesh.vertices[mesh.faces[0, :2].long()].tolist() == [[0, 0, 0], [-2, 0, 0]]
+    # Segments come first, also of parts behind.
+    scene = trimesh.Scene([cloud, lines])
+    mesh = pgccd.Mesh.from_trimesh(scene, weld=False)
+    assert mesh.faces[[0, 2], :2].tolist() == [[5, 6], [0, 0]] and mesh.source_face is not None
+    assert mesh.source_face.tolist() == [5, 6, 0, 1, 2, 3, 4]
     arc = trimesh.path.Path3D([trimesh.path.entities.Arc([0, 1, 2])], CORNERS)
     with pytest.raises(ValueError, match="^mesh: expected lines, got Arc"):
         pgccd.Mesh.from_trimesh(arc)
