@@ -13,6 +13,7 @@ from pgccd.geometry.file_checks import PlyColumns, ply_elements
 
 _OBJ_FACE = re.compile(rb"(?m)^[ \t]*f[ \t]")
 _OBJ_LINE = re.compile(rb"(?m)^[ \t]*(v|l|p|o|g)[ \t]+([^\r\n#]*)")
+_PLY_FACES = re.compile(rb"(?m)^element[ \t]+face[ \t]+0*[1-9]")
 # The two vertices of an edge of a PLY file.
 _ENDS = ("vertex1", "vertex2")
 
@@ -106,11 +107,11 @@ def _obj_rows(match: re.Match[bytes], data: bytes, begins: list[int]) -> list[in
 
 
 def _ply(data: bytes) -> list[PointFile] | None:
+    if _PLY_FACES.search(data.partition(b"end_header")[0]):
+        return None
     vertices, segments, other = None, np.zeros((0, 2), dtype=np.int64), ""
     for name, columns, _ in ply_elements(data):
         rows = max((len(column) for column in columns.values()), default=0)
-        if name == "face" and rows:
-            return None
         if name == "vertex":
             if not set("xyz") <= set(columns):
                 raise ValueError("a PLY file whose vertices have no x, y and z")

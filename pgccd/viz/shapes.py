@@ -68,6 +68,36 @@ class Shape:
             return positions
         return _vertices(positions, self.segments, self.points, self.thickness)
 
+    def corners(self, face: int) -> np.ndarray:
+        """Rows of the mesh's vertices that one of its faces, or segments and points behind these, has."""
+        if face < self.triangle_count:
+            return self.faces[face]
+        element = face - self.triangle_count
+        if element < len(self.segments):
+            return self.segments[element]
+        return self.points[element - len(self.segments), None]
+
+    def some(self, count: int, first: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """About so many of the segments and points, at random, in place of all; those of the rows `first` of the mesh's
+        vertices before others.
+
+        Returns:
+            The rows of `vertices` that are left, and faces (g, 3) of them.
+        """
+        kinds = ((self.segments, _capsule(len(self.segments))), (self.points[:, None], _ball(len(self.points))))
+        rank = np.random.default_rng(0).permutation(len(self.segments) + len(self.points))
+        ends = np.concatenate([self.segments, self.points[:, None].repeat(2, axis=1)])
+        rank[np.isin(ends, first).any(axis=1)] -= len(rank)
+        left = np.sort(np.argsort(rank, kind="stable")[:count])
+        rows, faces, begin, here, number = [], [], self.vertex_count, 0, 0
+        for elements, piece in kinds:
+            size = len(piece.end)
+            own = left[(left >= number) & (left < number + len(elements))] - number
+            rows.append((begin + size * own[:, None] + np.arange(size)).reshape(-1))
+            faces.append((here + size * np.arange(len(own))[:, None, None] + piece.faces).reshape(-1, 3))
+            begin, here, number = begin + size * len(elements), here + len(rows[-1]), number + len(elements)
+        return np.concatenate(rows), np.concatenate(faces)
+
 
 def drawn(mesh: Mesh) -> Shape:
     """What is drawn of a mesh: its triangles as they are, each segment as a capsule and each point as a ball; these

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -158,7 +159,33 @@ def test_large_clouds_are_simplified_on_pages() -> None:
     motion = pgccd.RigidMotion(x, q, *pose([0, 0, 0], [0, 0, 0]))
     hits = pgccd.detect(scene, motion)
     page = viz.Page.of(scene, motion, hits)
-    assert len(hits) == 1 and len(page.html) < 5e6 and "of its 480,000 triangles" in page.left_out[0]
+    assert len(hits) == 1 and 4e6 < len(page.html) < 5e6
+    said = re.fullmatch(r"Mesh 0 is drawn with ([0-9,]+) of its 60,000 segments and points\.", page.left_out[0])
+    assert said is not None and 15_000 < int(said[1].replace(",", "")) < 25_000
+    # The balls that are left are whole, and that of the contact is among them.
+    kind = max(data_of(page)["rigid"]["kinds"], key=lambda kind: len(kind["vertices"]))
+    vertices = data_of(page)["scale"] * decoded(kind["vertices"], np.float32, -1, 6, 3)
+    middles = vertices.mean(axis=1)
+    assert np.allclose(np.linalg.norm(vertices - middles[:, None], axis=2), 0.01, rtol=1e-2)
+    a, b = hits.features[0].tolist()
+    assert b == 0 and np.linalg.norm(middles - cloud.vertices[a].numpy(), axis=1).min() < 1e-4
+    faces = decoded(kind["faces"], np.uint32 if kind["index_bytes"] == 4 else np.uint16, -1, 8, 3)
+    assert (faces // 6 == np.arange(len(middles))[:, None, None]).all()
+
+
+def test_segments_and_points_of_a_mesh_are_left_out_together() -> None:
+    mesh = pgccd.Mesh(CORNERS, segments=[[0, 1], [1, 2], [2, 3]], points=[3, 4], thickness=0.1)
+    shape = drawn(mesh)
+    assert [shape.corners(face).tolist() for face in range(5)] == [[0, 1], [1, 2], [2, 3], [3], [4]]
+    assert [drawn(MIXED).corners(face).tolist() for face in range(4)] == [[0, 1, 2], [0, 3], [4], [1]]
+    rows, faces = shape.some(5, np.zeros(0, dtype=np.int64))
+    assert np.array_equal(shape.vertices[rows][faces], shape.vertices[shape.faces])
+    for first, distances in (([0], [(0, 1)]), ([4], [(4, 4)]), ([2], [(1, 2), (2, 3)])):
+        rows, faces = shape.some(len(distances), np.array(first))
+        assert opening(faces) is None and np.array_equal(np.unique(faces), np.arange(len(rows)))
+        ends = [(CORNERS[a], CORNERS[b] + 1e-12) for a, b in distances]
+        nearest = np.min([distance(shape.vertices[rows], a, b) for a, b in ends], axis=0)
+        assert nearest.max() < 0.1 + 1e-6
 
 
 @pytest.mark.filterwarnings("error")
