@@ -140,12 +140,13 @@ def test_pages_of_deforming_bodies_follow_them(mesh: pgccd.Mesh) -> None:
     animation = animation_of(scene, pgccd.Trajectory(positions))
     assert isinstance(animation.paths, VertexPaths)
     own, size = positions[:, 8:], len(mesh.vertices)
-    for moment in range(2):
-        bodies = drawn_at(animation, moment, 0.0)
-        assert np.array_equal(bodies[0], positions[moment, :8])
-        for body in range(2):
-            expected = drawn(mesh).moved(own[:, size * body : size * (body + 1)].numpy())[moment]
-            assert np.allclose(bodies[1 + body], expected)
+    pieces = np.split(animation.paths.position, animation.paths.begin[1:], axis=1)
+    assert np.array_equal(pieces[0], positions[:, :8])
+    for body in range(2):
+        assert np.array_equal(pieces[1 + body], drawn(mesh).moved(own[:, size * body : size * (body + 1)].numpy()))
+    # Pictures have the bodies as they are at their time, not between the ends.
+    middle = (0.25 * positions[0] + 0.75 * positions[1]).numpy()
+    assert np.allclose(drawn_at(animation, 0, 0.75)[1], drawn(mesh).moved(middle[None, 8 : 8 + size])[0])
     shown = vertices_at(data_of(viz.Page.of(scene, pgccd.Trajectory(positions))), 0, 0.0)
     assert all(np.allclose(shown[k], drawn_at(animation, 0, 0.0)[k], atol=1e-5) for k in range(3))
     alone = vertices_at(data_of(viz.Page.of(scene, pgccd.Trajectory(positions), world=1)), 1, 1.0)
@@ -186,6 +187,17 @@ def test_segments_and_points_of_a_mesh_are_left_out_together() -> None:
         ends = [(CORNERS[a], CORNERS[b] + 1e-12) for a, b in distances]
         nearest = np.min([distance(shape.vertices[rows], a, b) for a, b in ends], axis=0)
         assert nearest.max() < 0.1 + 1e-6
+
+
+def test_pictures_of_linear_paths_are_those_of_their_time() -> None:
+    x, q = pose([0, 0, 0])
+    turned = torch.tensor([[0.0, 1.0, 0, 0]]).double()
+    for length, end in ((1.0, q), (0.75**0.5, torch.tensor([[0.75**0.5, 0.5, 0, 0]]).double()), (0.0, turned)):
+        animation = animation_of(pgccd.Scene([ROD]), pgccd.RigidMotion(x, q, x, end, "linear"))
+        (found,) = drawn_at(animation, 0, 0.5)
+        a, b = found[:2]
+        assert np.allclose(distance(found[2:], a, b + 1e-12), 0.2, atol=1e-6)
+        assert np.linalg.norm(b - a) == pytest.approx(length, abs=1e-6)
 
 
 @pytest.mark.filterwarnings("error")
