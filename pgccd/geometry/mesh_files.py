@@ -53,6 +53,10 @@ class Geometry:
         return self if factor == 1.0 else replace(self, vertices=factor * self.vertices)
 
 
+class _Objects(tuple[Geometry, ...]):
+    """The objects of a file that trimesh does not read."""
+
+
 def check_unit(unit: str | None) -> None:
     """Raises TypeError or ValueError, naming `unit`, unless it is one of `UNITS` or None."""
     if unit is not None:
@@ -126,7 +130,7 @@ def _loaded(trimesh: Any, path: Path, options: dict[str, Any]) -> Any:
     if kind in (".glb", ".gltf") and (triangles := gltf_of_triangles(path)) is not None:
         return trimesh.load(io.BytesIO(triangles), file_type="glb", process=False)
     if (parts := read_points(path, bool(options))) is not None:
-        return [Geometry.of_elements(part.vertices, part.segments, part.points, part.name) for part in parts]
+        return _Objects(Geometry.of_elements(part.vertices, part.segments, part.points, part.name) for part in parts)
     if (polygons := read_polygons(path)) is not None:
         return _of_polygons(trimesh, polygons, bool(options))
     if kind == ".obj" and (plain := plain_obj(path.read_bytes())) is not None:
@@ -291,7 +295,7 @@ def _unique_rows(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _parts(loaded: Any) -> Iterator[tuple[str | None, Any, np.ndarray | None]]:
     """Name, geometry and transform of each part of a loaded file."""
-    if isinstance(loaded, list):
+    if isinstance(loaded, _Objects):
         yield from ((part.name, part, None) for part in loaded)
         return
     graph = getattr(loaded, "graph", None)
