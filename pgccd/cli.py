@@ -548,7 +548,7 @@ def _info(options: argparse.Namespace) -> int:
     if options.json:
         sizes = []
         for name, mesh in zip(options.meshes, _load_meshes(options.meshes, "MESH") or [], strict=True):
-            row: dict[str, Any] = {"file": name, "vertices": len(mesh.vertices), "faces": len(mesh.faces)}
+            row: dict[str, Any] = {"file": name} | _sizes(mesh)
             sizes.append(row | {"centre": mesh.centre.tolist(), "radius": mesh.radius})
         print(json.dumps(installation | {"meshes": sizes}))
         return 0
@@ -556,6 +556,12 @@ def _info(options: argparse.Namespace) -> int:
         print(f"{name:<20}{text}")
     for name, mesh in zip(options.meshes, _load_meshes(options.meshes, "MESH") or [], strict=True):
         centre = ", ".join(f"{x:.9g}" for x in mesh.centre.tolist())
-        size = f"{len(mesh.vertices)} vertices, {len(mesh.faces)} faces"
+        size = ", ".join(f"{count} {what}" for what, count in _sizes(mesh).items() if count)
         print(f"{name}: {size}, SBV centre ({centre}), radius {mesh.radius:.9g}")
     return 0
+
+
+def _sizes(mesh: pgccd.Mesh) -> dict[str, int]:
+    """Numbers of vertices, and of triangles, segments and points."""
+    counts = {"vertices": len(mesh.vertices), "faces": mesh.triangle_count}
+    return counts | {"segments": mesh.segment_count, "points": mesh.point_count}

@@ -180,7 +180,12 @@ case(
     "origin",
     "volume",
 )
-case("from_trimesh", lambda: pgccd.Mesh.from_trimesh(object()), "mesh", "expected triangles, got object")
+case(
+    "from_trimesh",
+    lambda: pgccd.Mesh.from_trimesh(object()),
+    "mesh",
+    "expected triangles, segments or points, got object",
+)
 QUERY = torch.zeros(2, 4, 3, dtype=torch.float64)
 for _test in (pgccd.narrow.vertex_face, pgccd.narrow.edge_edge):
     _name = _test.__name__
@@ -261,7 +266,7 @@ def test_files(tmp_path: Path) -> None:
         "empty.obj": b"",
         "text.obj": b"this is no mesh\n",
         "picture.png": b"\x89PNG",
-        "points.ply": b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n"
+        "points.ply": b"ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n"
         b"end_header\n0 0 0\n",
         "repeats.obj": b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 2\n",
         "flat.obj": b"v 1 1 1\nv 1 1 1\nv 1 1 1\nf 1 2 3\n",

@@ -96,7 +96,7 @@ class PCCCD:
         """Prepares the meshes, and compares the arguments of all ranks.
 
         Args:
-            meshes: equal on all ranks.
+            meshes: equal on all ranks, of triangles alone, without a thickness.
             voxel_size: length of a voxel's edge. Default: 8 mean edges of the meshes' triangles.
             comm: between the ranks. Default: one rank.
             report: "first": the earliest contact of each pair of bodies; "all": every touching feature pair.
@@ -110,6 +110,7 @@ class PCCCD:
         def prepare() -> tuple[MeshSet, Query, float]:
             arguments.choice(report, "report", ("first", "all"))
             mesh_set = MeshSet(meshes)
+            _require_triangles(mesh_set.meshes)
             size = _EDGES_A_VOXEL * _mean_edge(mesh_set.meshes) if voxel_size is None else voxel_size
             if not arguments.length(size, "voxel_size") > 0.0:
                 raise ValueError(f"voxel_size: expected a length > 0, got {size}")
@@ -255,6 +256,13 @@ class PCCCD:
         if self._query.report == "first":
             order = order[first_rows(received["pairs"][order])]
         return take_rows(received, order)
+
+
+def _require_triangles(meshes: Sequence[Mesh]) -> None:
+    """Raises ValueError if a mesh has anything but triangles: voxels are those of boxes around swept triangles."""
+    for number, mesh in enumerate(meshes):
+        if mesh.segment_count or mesh.point_count or mesh.thickness:
+            raise ValueError(f"meshes: expected triangles alone, without a thickness, got {mesh!r} as number {number}")
 
 
 def _mean_edge(meshes: Sequence[Mesh]) -> float:

@@ -88,10 +88,12 @@ class Mesh:
         name: of the object in its file, or None.
         unit: length unit of the coordinates in metres, if the file that they are from states one, or `unit` was given.
         welded_vertices: number of vertices of the file removed by welding.
-        dropped_faces: number of faces of the file dropped because they repeat a vertex.
+        dropped_faces: number of faces and segments of the file dropped because they repeat a vertex, and of points that
+            another stands for.
         source_vertex: (V,) int64: row in the file of each vertex, the first of those welded; None for a mesh not from a
             file.
-        source_face: (F,) int64: row in the file of each face; None for a mesh not from a file.
+        source_face: (F,) int64: row in the file of each face; of a file without triangles among its segments, then its
+            points. None for a mesh not from a file.
 
     Raises:
         ValueError: naming the first offending vertex, face, segment or point, the mesh has none of these or an SBV
@@ -232,7 +234,7 @@ class Mesh:
         vertices = as_array(x, np.float64, "x", 3)
         if len(vertices) == 0:
             raise ValueError("x: expected at least one point")
-        alone, thickness = np.arange(len(vertices)), _radius(radius)
+        alone, thickness = np.arange(len(vertices)), arguments.length(radius, "radius")
         try:
             return cls(vertices, None, origin, points=alone, thickness=thickness)
         except ValueError as error:
@@ -261,7 +263,7 @@ class Mesh:
             >>> pgccd.Mesh.segments([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0]], [[0, 1], [1, 2]]).edges.shape
             torch.Size([2, 2])
         """
-        vertices, thickness = as_array(x, np.float64, "x", 3), _radius(radius)
+        vertices, thickness = as_array(x, np.float64, "x", 3), arguments.length(radius, "radius")
         pairs = as_array(edges, np.int64, "edges", 2)
         if len(pairs) == 0:
             raise ValueError("edges: expected at least one segment")
@@ -360,7 +362,8 @@ class Mesh:
     def from_trimesh(
         cls, mesh: Any, origin: Origin = (0.0, 0.0, 0.0), *, weld: bool = True, solid: Solid = False
     ) -> Mesh:
-        """From a `trimesh.Trimesh`, or a `trimesh.Scene` (its meshes are transformed to the scene's frame and joined).
+        """From a `trimesh.Trimesh`, `trimesh.PointCloud` (points) or `trimesh.path.Path3D` (segments), or from a
+        `trimesh.Scene` of meshes, or of the others (they are transformed to the scene's frame and joined).
 
         Args:
             mesh: the trimesh object.
@@ -369,10 +372,11 @@ class Mesh:
                 unwelded, a deforming mesh would separate there and collide with itself. Contacts index the welded mesh;
                 `source_vertex` and `source_face` map to the mesh given.
 
-        Faces that repeat a vertex, possibly after welding, are dropped.
+        Faces and segments that repeat a vertex, possibly after welding, are dropped; so is a point at one kept already.
 
         Raises:
-            TypeError, ValueError: it contains no triangles or something other than a mesh; or as for the constructor.
+            TypeError, ValueError: it contains nothing, arcs, something else, or points or lines beside meshes; or as
+                for the constructor.
 
         Example:
             >>> robot = pgccd.Mesh.from_trimesh(trimesh.creation.icosphere(subdivisions=3))
@@ -393,7 +397,9 @@ class Mesh:
         """From any mesh file that trimesh loads (ply, stl, obj, off, glb, dae, ...), or a binary mesh of MuJoCo (msh);
         all meshes in it are joined. Polygons are divided in triangles within their outlines (those of Collada files
         must be convex). Coordinates are those of the file, axes included: the up axis that Collada and glTF files state
-        turns nothing, as in tools for URDF.
+        turns nothing, as in tools for URDF. **Lines and points beside triangles, which exporters add, are left out.**
+        Files without triangles give segments and points: lines (l) and points (p) of OBJ files, edges of PLY files, and
+        without edges all of their vertices; point clouds of other files.
 
         Args:
             path: of the file.
@@ -407,7 +413,8 @@ class Mesh:
         Raises:
             FileNotFoundError, IsADirectoryError: no such file.
             ValueError: the file is empty, cannot be read as a mesh, holds less than it declares (a truncated STL, PLY
-                or OFF file), contains no triangles, or contains something other than a mesh, such as a point cloud.
+                or OFF file), or contains no triangles, segments and points (such as an OBJ file of vertices alone),
+                something else, lines of glTF, or an object that is a point cloud beside others of triangles.
             ImportError: trimesh, or a package that it needs for this kind of file, is not installed.
 
         Example:
@@ -471,7 +478,8 @@ class Mesh:
         cleaned, source_vertex, source_face = mesh_files.clean(geometry, arguments.flag(weld, "weld"))
         if is_float32(geometry.vertices):  # before welding, which joins vertices that have become equal
             warn_of_rounding(geometry.vertices, geometry.faces, source, stacklevel=4)
-        mesh = cls(cleaned.vertices, cleaned.faces, origin, solid=solid)
+        faces, segments, points = cleaned.elements()
+        mesh = cls(cleaned.vertices, faces, origin, segments=segments, points=points, solid=solid)
         mesh.name = geometry.name
         mesh.welded_vertices = len(geometry.vertices) - len(cleaned.vertices)
         mesh.dropped_faces = len(geometry.faces) - len(cleaned.faces)
@@ -583,10 +591,6 @@ def _renamed(error: ValueError, **names: str) -> ValueError:
     """An error about an argument of the constructor, with the names of the arguments that it is made of."""
     name, _, rest = str(error).partition(": ")
     return ValueError(f"{names.get(name, name)}: {rest}")
-
-
-def _radius(radius: float) -> float:
-    return arguments.length(radius, "radius")
 
 
 def _checked_thickness(thickness: float) -> float:

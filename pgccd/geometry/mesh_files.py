@@ -1,4 +1,4 @@
-"""Triangles from files and from trimesh: extraction, placement and welding."""
+"""Triangles, segments and points from files and from trimesh: extraction, placement and welding."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ import numpy as np
 from pgccd import arguments
 from pgccd.geometry.file_checks import declared_triangles
 from pgccd.geometry.mesh_formats import collada_without_looks, gltf_of_triangles, mujoco_mesh, plain_obj
+from pgccd.geometry.point_files import read_points
 from pgccd.geometry.polygons import PolygonFile, read_polygons, require_convex_polygons
 
 #: Units of lengths that files state, in metres.
@@ -28,15 +29,32 @@ UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254, "ft": 0.3048}
 
 @dataclass(frozen=True)
 class Geometry:
-    """Triangles as a file gives them."""
+    """Elements as a file gives them: triangles, or segments (a, b, b) and points (a, a, a)."""
 
     vertices: np.ndarray  #: (V, 3) float64
     faces: np.ndarray  #: (F, 3) int64
     name: str | None = None
+    kinds: np.ndarray | None = None  #: (F,) 1 for segments, 2 for points; None: triangles
+
+    @classmethod
+    def of_elements(cls, vertices: np.ndarray, segments: np.ndarray, points: np.ndarray, name: str | None) -> Geometry:
+        """Of segments (S, 2) and points (P,)."""
+        table = np.concatenate([segments[:, [0, 1, 1]], points[:, None].repeat(3, axis=1)])
+        return cls(vertices, table, name, np.repeat([1, 2], [len(segments), len(points)]))
+
+    def elements(self) -> tuple[np.ndarray | None, np.ndarray | None, np.ndarray | None]:
+        """Triangles (T, 3), segments (S, 2) and points (P,)."""
+        if self.kinds is None:
+            return self.faces, None, None
+        return None, self.faces[self.kinds == 1, :2], self.faces[self.kinds == 2, 0]
 
     def scaled(self, factor: float) -> Geometry:
         """With lengths multiplied."""
         return self if factor == 1.0 else replace(self, vertices=factor * self.vertices)
+
+
+class _Objects(tuple[Geometry, ...]):
+    """The objects of a file that trimesh does not read."""
 
 
 def check_unit(unit: str | None) -> None:
@@ -85,10 +103,13 @@ def load_geometry(path: str | PathLike[str], apart: bool = False) -> Any:
     try:
         declared = declared_triangles(Path(path))
         loaded = _loaded(trimesh, Path(path), options)
+        parts = list(_parts(loaded))
         # Some files are decoded only on access.
-        if not any(len(getattr(each, "vertices", ())) for _, each, _ in _parts(loaded)):
-            raise ValueError("it holds no triangles")
-        read = sum(len(getattr(each, "faces", ())) for _, each, _ in _parts(loaded))
+        if not any(len(getattr(each, "vertices", ())) for _, each, _ in parts):
+            raise ValueError("it holds no triangles, segments or points")
+        if Path(path).suffix.lower() in (".glb", ".gltf") and any(hasattr(each, "entities") for _, each, _ in parts):
+            raise ValueError("lines of a glTF file, which cannot be read")  # trimesh joins those that are apart
+        read = sum(len(getattr(each, "faces", ())) for _, each, _ in parts)
         if declared is not None and read < declared:
             raise ValueError(f"of its {declared} triangles trimesh reads {read}")
     except Exception as error:
@@ -108,6 +129,8 @@ def _loaded(trimesh: Any, path: Path, options: dict[str, Any]) -> Any:
         return trimesh.load(io.BytesIO(collada_without_looks(data)), file_type="dae", process=False)
     if kind in (".glb", ".gltf") and (triangles := gltf_of_triangles(path)) is not None:
         return trimesh.load(io.BytesIO(triangles), file_type="glb", process=False)
+    if (parts := read_points(path, bool(options))) is not None:
+        return _Objects(Geometry.of_elements(part.vertices, part.segments, part.points, part.name) for part in parts)
     if (polygons := read_polygons(path)) is not None:
         return _of_polygons(trimesh, polygons, bool(options))
     if kind == ".obj" and (plain := plain_obj(path.read_bytes())) is not None:
@@ -156,28 +179,56 @@ def _missing_package(error: Exception) -> str | None:
 
 
 def placed_geometry(loaded: Any) -> list[Geometry]:
-    """The meshes of a loaded file, each in the frame of its scene.
+    """The meshes of a loaded file, each in the frame of its scene: all of triangles, or all of segments and points.
 
     Raises:
-        ValueError: it contains something other than a mesh, or no triangles.
+        ValueError: it contains something else, both of these, or nothing.
     """
     found = []
     for name, part, transform in _parts(loaded):
-        faces = getattr(part, "faces", None)
-        if faces is None:
-            kind = {"PointCloud": "a point cloud", "Path2D": "lines", "Path3D": "lines"}.get(type(part).__name__)
-            named = f" named {name!r}" if name else ""
-            raise ValueError(f"mesh: expected triangles, got {kind or type(part).__name__}{named}, which is not a mesh")
-        vertices = np.asarray(part.vertices, dtype=np.float64).reshape(-1, 3)
+        geometry = _geometry_of(part, name)
+        vertices, faces = geometry.vertices, geometry.faces
         if transform is not None:
             vertices = vertices @ transform[:3, :3].T + transform[:3, 3]
-        faces = np.asarray(faces, dtype=np.int64).reshape(-1, 3)
-        if transform is not None and np.linalg.det(transform[:3, :3]) < 0.0:
-            faces = faces[:, ::-1]  # a mirror image: what was outside stays there
-        found.append(Geometry(vertices, faces, name))
+            if geometry.kinds is None and np.linalg.det(transform[:3, :3]) < 0.0:
+                faces = faces[:, ::-1]  # a mirror image: what was outside stays there
+        found.append(replace(geometry, vertices=vertices, faces=faces))
     if not any(len(geometry.faces) for geometry in found):
-        raise ValueError(f"mesh: {type(loaded).__name__} holds no triangles")
-    return found
+        raise ValueError(f"mesh: {type(loaded).__name__} holds no triangles, segments or points")
+    others = [geometry for geometry in found if geometry.kinds is not None and len(geometry.faces)]
+    if others and any(geometry.kinds is None and len(geometry.faces) for geometry in found):
+        what = "lines" if others[0].kinds is not None and (others[0].kinds == 1).any() else "a point cloud"
+        raise ValueError(f"mesh: expected triangles alone, got {what}{_named(others[0].name)} beside them")
+    return [geometry for geometry in found if geometry.kinds is not None] if others else found
+
+
+def _geometry_of(part: Any, name: str | None) -> Geometry:
+    """A mesh, point cloud or lines of trimesh, or what this package has read itself."""
+    if isinstance(part, Geometry):
+        return part
+    faces, kind = getattr(part, "faces", None), type(part).__name__
+    if faces is None and kind not in ("PointCloud", "Path3D"):
+        what = "lines in a plane" if kind == "Path2D" else kind
+        raise ValueError(f"mesh: expected triangles, segments or points, got {what}{_named(name)}, which is not a mesh")
+    vertices = np.asarray(part.vertices, dtype=np.float64).reshape(-1, 3)
+    if faces is not None:
+        return Geometry(vertices, np.asarray(faces, dtype=np.int64).reshape(-1, 3), name)
+    if kind == "PointCloud":
+        return Geometry.of_elements(vertices, _NO_SEGMENTS, np.arange(len(vertices)), name)
+    pieces = [_NO_SEGMENTS]
+    for entity in part.entities:
+        if type(entity).__name__ != "Line":
+            raise ValueError(f"mesh: expected lines, got {type(entity).__name__}{_named(name)}")
+        rows = np.asarray(entity.points, dtype=np.int64)
+        pieces.append(np.stack([rows[:-1], rows[1:]], axis=1))
+    return Geometry.of_elements(vertices, np.concatenate(pieces), _NO_SEGMENTS[:, 0], name)
+
+
+_NO_SEGMENTS = np.zeros((0, 2), dtype=np.int64)
+
+
+def _named(name: str | None) -> str:
+    return f" named {name!r}" if name else ""
 
 
 def joined_geometry(loaded: Any) -> Geometry:
@@ -187,12 +238,15 @@ def joined_geometry(loaded: Any) -> Geometry:
         return parts[0]
     first = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
     faces = [part.faces + begin for part, begin in zip(parts, first, strict=True)]
-    return Geometry(np.concatenate([part.vertices for part in parts]), np.concatenate(faces))
+    kinds = [part.kinds for part in parts if part.kinds is not None]
+    joined = Geometry(np.concatenate([part.vertices for part in parts]), np.concatenate(faces))
+    return replace(joined, kinds=np.concatenate(kinds)) if kinds else joined
 
 
 def clean(geometry: Geometry, weld: bool) -> tuple[Geometry, np.ndarray, np.ndarray]:
-    """Drops faces that repeat a vertex; with `weld`, first merges vertices at the same position. Returns also the
-    source row of each vertex (V,) and face (F,), int64.
+    """Drops faces and segments that repeat a vertex, and points that are listed already; with `weld`, first merges
+    vertices at the same position. Segments come before points. Returns also the source row of each vertex (V,) and face
+    (F,), int64.
 
     Raises:
         ValueError: a vertex is not finite, a vertex index is out of range, or no face is left.
@@ -204,11 +258,27 @@ def clean(geometry: Geometry, weld: bool) -> tuple[Geometry, np.ndarray, np.ndar
     if weld:
         source, twin = _unique_rows(vertices)
         vertices, faces = vertices[source], twin[faces]
-    repeats = (faces == np.roll(faces, 1, axis=1)).any(axis=1)
+    if geometry.kinds is None:
+        repeats = (faces == np.roll(faces, 1, axis=1)).any(axis=1)
+        what = "triangles with three different corners"
+    else:
+        repeats, what = _repeated(faces, geometry.kinds), "segments with two different ends"
     if repeats.all():
-        raise ValueError("mesh: there are no triangles with three different corners")
+        raise ValueError(f"mesh: there are no {what}")
     kept = np.flatnonzero(~repeats)
-    return Geometry(vertices, faces[kept], geometry.name), source, kept
+    if geometry.kinds is None:
+        return Geometry(vertices, faces[kept], geometry.name), source, kept
+    kept = kept[np.argsort(geometry.kinds[kept], kind="stable")]
+    return Geometry(vertices, faces[kept], geometry.name, geometry.kinds[kept]), source, kept
+
+
+def _repeated(table: np.ndarray, kinds: np.ndarray) -> np.ndarray:
+    """(F,) bool: the segments with equal ends, and all but the first of the points of a vertex."""
+    repeats = (kinds == 1) & (table[:, 0] == table[:, 1])
+    alone = np.flatnonzero(kinds == 2)
+    repeats[alone] = True
+    repeats[alone[np.unique(table[alone, 0], return_index=True)[1]]] = False
+    return repeats
 
 
 def _unique_rows(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -225,6 +295,9 @@ def _unique_rows(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _parts(loaded: Any) -> Iterator[tuple[str | None, Any, np.ndarray | None]]:
     """Name, geometry and transform of each part of a loaded file."""
+    if isinstance(loaded, _Objects):
+        yield from ((part.name, part, None) for part in loaded)
+        return
     graph = getattr(loaded, "graph", None)
     if graph is None:
         name = getattr(loaded, "metadata", {}).get("name")

@@ -216,9 +216,7 @@ def _surface(link: str, collision: Any, path: Path, packages: Mapping[str, str |
             file = _file(geometry.mesh.filename, path, packages)
             mesh = Mesh.load(file, unit="m")
             scale = np.ones(3) if geometry.mesh.scale is None else np.asarray(geometry.mesh.scale) * np.ones(3)
-            faces = mesh.faces.long().numpy()
-            # A mirror image: what was outside stays there.
-            surface = ThickSurface(mesh.vertices.numpy() * scale, faces[:, ::-1] if scale.prod() < 0.0 else faces)
+            surface = ThickSurface(mesh.vertices.numpy(), mesh.faces.long().numpy()).scaled(scale)
     except (OSError, ValueError) as error:
         raise type(error)(f"path: {path}: link {link!r}: {error}") from error
     if collision.origin is None:

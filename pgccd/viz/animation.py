@@ -20,6 +20,7 @@ from pgccd.geometry.scene_columns import require_meshes
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.times import fractions_of
 from pgccd.motion.trajectory import Trajectory
+from pgccd.viz.shapes import Shape, drawn
 
 _StepMotion: TypeAlias = RigidMotion | VertexMotion
 #: The motion of a scene.
@@ -61,7 +62,7 @@ class VertexPaths:
     """Straight paths of the X vertices of N deforming bodies in S segments. World frame, length units.
 
     Attributes:
-        position: (W, X, 3) at W moments.
+        position: (W, X, 3) at W moments, of all that is drawn.
         ends: (S, 2) moments at the start and end of each segment.
         begin: (N,) first vertex of each body.
     """
@@ -118,7 +119,7 @@ class Animation:
     """N bodies on their paths in S segments, and contacts.
 
     Attributes:
-        shapes: vertices (V, 3) relative to the origin, and faces (F, 3). Of deforming bodies only the faces are used.
+        shapes: what is drawn of each mesh. Of deforming bodies only the faces are used.
         shape_index: (N,) shape of each body.
         paths: of the bodies.
         hit: (S, N) bool: whether a body collides in a segment.
@@ -126,7 +127,7 @@ class Animation:
         ids: (N,) numbers of the bodies.
         marks: contacts on the whole paths.
         world: (N,) int, or None.
-        margin: (N,) length units, or None.
+        margin: (N,) length units, beyond what is drawn; or None.
         fraction: (S, N) body i moves on x_i(fraction_i t) in each segment; or None.
         first_step: number of the first segment, if segments are steps; None: segments lie between waypoints.
         names: of bodies, by number; or None.
@@ -135,7 +136,7 @@ class Animation:
         notes: sentences below it.
     """
 
-    shapes: list[tuple[np.ndarray, np.ndarray]]
+    shapes: list[Shape]
     shape_index: np.ndarray
     paths: RigidPaths | VertexPaths
     hit: np.ndarray
@@ -201,11 +202,14 @@ def animation_of(
     if fraction is not None:
         each: list[Any] = _of_steps(fraction, len(steps), "fraction") if is_list else [fraction]
         fractions = np.stack([_array(fractions_of(part, count, scene.device)) for part in each])
-    static, margin = (None if column is None else _array(column) for column in (scene.static, scene._thickness))
+    static = None if scene.static is None else _array(scene.static)
+    shapes = [drawn(mesh) for mesh in scene.meshes.meshes]
+    shape_index = _array(scene.mesh_index).astype(np.int64)
+    margin = _margins(scene, shapes, shape_index)
     animation = Animation(
-        shapes=[(mesh.vertices.numpy(), mesh.faces.numpy()) for mesh in scene.meshes.meshes],
-        shape_index=_array(scene.mesh_index).astype(np.int64),
-        paths=paths,
+        shapes=shapes,
+        shape_index=shape_index,
+        paths=paths if isinstance(paths, RigidPaths) else _of_all_drawn(paths, shapes, shape_index),
         hit=hit,
         static=np.zeros(count, dtype=bool) if static is None else static.astype(bool),
         ids=np.arange(count),
@@ -285,7 +289,8 @@ def _chosen(animation: Animation, rows: np.ndarray) -> Animation:
         columns = {name: getattr(paths, name)[:, rows] for name in ("start", "end", "orientation", "rotation")}
         paths = replace(paths, **columns)
     else:
-        counts = np.array([len(animation.shapes[shape][0]) for shape in animation.shape_index[rows]], dtype=np.int64)
+        shapes = [animation.shapes[shape] for shape in animation.shape_index[rows]]
+        counts = np.array([len(shape.vertices) for shape in shapes], dtype=np.int64)
         begin = np.cumsum([0, *counts])
         vertices = np.arange(begin[-1]) + np.repeat(paths.begin[rows] - begin[:-1], counts)
         paths = VertexPaths(paths.position[:, vertices], paths.ends, begin[:-1])
@@ -328,6 +333,30 @@ def _paths(scene: Scene, steps: list[AnyMotion], is_list: bool) -> RigidPaths | 
         ends.append((len(moments) - 1, len(moments)))
         moments.append(end[segment : segment + 1])
     return VertexPaths(np.concatenate(moments), np.array(ends), _array(scene.layout.vertex_begin))
+
+
+def _of_all_drawn(paths: VertexPaths, shapes: list[Shape], index: np.ndarray) -> VertexPaths:
+    """The paths of all that is drawn, from those of the meshes' vertices."""
+    if all(shape.vertex_count == len(shape.vertices) for shape in shapes):
+        return paths
+    pieces = []
+    for body, begin in zip(index.tolist(), paths.begin.tolist(), strict=True):
+        pieces.append(shapes[body].moved(paths.position[:, begin : begin + shapes[body].vertex_count]))
+    begins = np.cumsum([0, *(piece.shape[1] for piece in pieces)])[:-1]
+    return VertexPaths(np.concatenate([paths.position[:, :0], *pieces], axis=1), paths.ends, begins)
+
+
+def _margins(scene: Scene, shapes: list[Shape], index: np.ndarray) -> np.ndarray | None:
+    """(N,): margins and the thickness of meshes, as far as this is not drawn; of meshes that also have triangles, which
+    are drawn without, all of it.
+    """
+    if scene._thickness is None:
+        return None
+    is_drawn = np.array([not shape.triangle_count and shape.thickness > 0.0 for shape in shapes], dtype=bool)
+    if not is_drawn.any():
+        return _array(scene._thickness)
+    thickness = np.where(is_drawn, [mesh.thickness for mesh in scene.meshes.meshes], 0.0)
+    return np.maximum(_array(scene._thickness) - thickness[index], 0.0)
 
 
 def _found(hits: Any, scene: Scene, motion: AnyMotion, notes: list[str], name: str) -> tuple[np.ndarray, Marks]:

@@ -139,15 +139,15 @@ def _drawn(animation: Animation, marks: Marks, name_bytes: int, notes: list[str]
         own = 0
         names, first = np.unique(animation.shape_index[order], return_index=True)
         meshes = names[np.argsort(first)]  # in the order of the first body
-        waypoints, pieces = 0, [animation.shapes[k] for k in meshes]
+        waypoints, pieces = 0, [(animation.shapes[k].vertices, animation.shapes[k].faces) for k in meshes]
     else:
         meshes, waypoints = order, len(paths.position)
-        counts = np.array([len(vertices) for vertices, _ in animation.shapes], dtype=np.int64)
+        counts = np.array([len(shape.vertices) for shape in animation.shapes], dtype=np.int64)
         pieces = []
         for body in order:
             shape = animation.shape_index[body]
             first = paths.begin[body]
-            pieces.append((paths.position[:, first : first + counts[shape]], animation.shapes[shape][1]))
+            pieces.append((paths.position[:, first : first + counts[shape]], animation.shapes[shape].faces))
     costs = np.array([stored_bytes(vertices.shape[-2], len(faces), waypoints) for vertices, faces in pieces])
     least = np.minimum(costs, _LEAST_MESH_BYTES * max(1, waypoints)) + own
     kept = max(1, int((np.cumsum(least) <= budget).sum()))
@@ -158,15 +158,21 @@ def _drawn(animation: Animation, marks: Marks, name_bytes: int, notes: list[str]
     for number in np.flatnonzero(costs[:kept] > allowed):
         vertices, faces = pieces[number]
         name = int(meshes[number])
-        first_vertices = vertices if vertices.ndim == 2 else vertices[0]
-        rows, fewer, moved = simplified(first_vertices, faces, allowed, waypoints, touching.get(name, _NONE))
+        shape = animation.shapes[name if isinstance(paths, RigidPaths) else animation.shape_index[name]]
+        if not shape.triangle_count:
+            every = len(shape.segments) + len(shape.points)
+            count = max(1, int(every * allowed / (costs[number] - stored_bytes(shape.vertex_count, 0, waypoints))))
+            rows, fewer = shape.some(min(count, every), touching.get(name, _NONE))
+            simple.append((name, f"{min(count, every):,} of its {every:,} segments and points."))
+        else:
+            first_vertices = vertices if vertices.ndim == 2 else vertices[0]
+            rows, fewer, moved = simplified(first_vertices, faces, allowed, waypoints, touching.get(name, _NONE))
+            kept_of = f"{len(fewer):,} of its {len(faces):,} triangles"
+            simple.append((name, f"{kept_of}: vertices moved by up to {moved:.2g}."))
         pieces[number] = vertices[..., rows, :], fewer
-        simple.append((name, len(faces), len(fewer), moved))
     what = "Mesh" if isinstance(paths, RigidPaths) else "Body"
-    for name, before, after, moved in simple[:3]:
-        notes.append(
-            f"{what} {name} is drawn with {after:,} of its {before:,} triangles: vertices moved by up to {moved:.2g}."
-        )
+    for name, said in simple[:3]:
+        notes.append(f"{what} {name} is drawn with {said}")
     if len(simple) > 3:
         notes.append(f"So are {len(simple) - 3:,} others.")
     place = {int(name): number for number, name in enumerate(meshes)}
@@ -199,7 +205,7 @@ def _touching_vertices(animation: Animation, marks: Marks) -> dict[int, np.ndarr
             body, feature = int(marks.bodies[row, side]), int(marks.features[row, side])
             shape = int(animation.shape_index[body])
             name = shape if isinstance(animation.paths, RigidPaths) else body
-            of_face = animation.shapes[shape][1][feature] if is_face[row] else np.array([feature])
+            of_face = animation.shapes[shape].corners(feature) if is_face[row] else np.array([feature])
             found.setdefault(name, []).append(of_face.astype(np.int64))
     return {name: np.unique(np.concatenate(vertices)) for name, vertices in found.items()}
 

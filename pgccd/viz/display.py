@@ -72,6 +72,9 @@ def show(
     The page is one HTML file without outside scripts, below 5 MB, for browsers with WebGL 2. What does not fit is left
     out, bodies that do not collide first, or simplified: a UserWarning and the page say what. Detection is not run.
 
+    Segments are drawn as capsules and points as balls, of their mesh's thickness, thin ones without: spheres and
+    capsules look like themselves. Triangles are drawn without a thickness, which is among the margins.
+
     Args:
         scene: the bodies.
         motion: their paths: a `RigidMotion`, `VertexMotion` or `Trajectory`; or a list of the motions of consecutive

@@ -48,12 +48,12 @@ def write_glb(path: Path, animation: Animation) -> Path:
                 scene.graph.update(frame_to=node, matrix=poses[body], geometry=known[shape, colour])
                 continue
             name = known[shape, colour] = f"mesh {shape}, colour {colour}"
-            vertices, faces = animation.shapes[shape]
-            add(vertices, faces, paints[colour], geom_name=name, node_name=node, transform=poses[body])
+            drawn = animation.shapes[shape]
+            add(drawn.vertices, drawn.faces, paints[colour], geom_name=name, node_name=node, transform=poses[body])
     else:
         for body, vertices in enumerate(vertices_at(animation, segment, time)):
             node = f"body {animation.ids[body]}"
-            faces = animation.shapes[animation.shape_index[body]][1]
+            faces = animation.shapes[animation.shape_index[body]].faces
             add(vertices, faces, paints[colours[body]], geom_name=node, node_name=node)
     size = 0.03 * float(np.linalg.norm(scene.extents)) if len(scene.geometry) else 1.0
     for number in at_time.tolist():

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from pgccd.viz.raster import Camera, Canvas, placed
+from pgccd.viz.shapes import drawn
 from pgccd.viz.snapshot import Impact, Snapshot
 
 PAPER = (1.0, 1.0, 1.0)
@@ -26,16 +27,19 @@ def _frame(impact: Impact) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def _placed(snapshot: Snapshot, impact: Impact, body: int, moment: int) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (V, 3), world frame, and faces (F, 3) of one of the two bodies at t0, toi or t1 (moment 0, 1, 2)."""
-    mesh = snapshot.meshes[impact.kinds[body]]
-    vertices = placed(
-        mesh.vertices.numpy(), impact.position[moment, body, None], impact.orientation[moment, body, None]
-    )
-    return vertices[0], mesh.faces.numpy()
+    shape = drawn(snapshot.meshes[impact.kinds[body]])
+    vertices = placed(shape.vertices, impact.position[moment, body, None], impact.orientation[moment, body, None])
+    return vertices[0], shape.faces
+
+
+def _radius(snapshot: Snapshot) -> float:
+    """That of the largest mesh as it is drawn."""
+    return max(drawn(mesh).radius for mesh in snapshot.meshes)
 
 
 def draw_impact(axes: Any, snapshot: Snapshot, impact: Impact) -> None:
     """Both bodies at the time of impact, seen across the contact normal."""
-    radius = max(mesh.radius for mesh in snapshot.meshes)
+    radius = _radius(snapshot)
     along, across, view = _frame(impact)
     target = impact.position[1].mean(axis=0)
     distance = 6.0 * radius
@@ -60,7 +64,7 @@ def draw_section(axes: Any, snapshot: Snapshot, impact: Impact) -> None:
     """The bodies' outlines in the plane through the contact point and the normal, at t0, toi and t1."""
     from matplotlib.collections import LineCollection
 
-    radius = max(mesh.radius for mesh in snapshot.meshes)
+    radius = _radius(snapshot)
     along, across, view = _frame(impact)
     styles: list[dict[str, Any]] = [
         {"lw": 1.0, "linestyles": "dotted", "alpha": 0.9},
@@ -100,7 +104,7 @@ def _plane_section(local: np.ndarray) -> np.ndarray:
 
 def draw_gap(axes: Any, snapshot: Snapshot, impact: Impact) -> None:
     """The gap between the two touching features along the normal, over the step."""
-    radius = max(mesh.radius for mesh in snapshot.meshes)
+    radius = _radius(snapshot)
     gap = impact.gap / radius
     before = impact.times <= impact.toi
     axes.axhline(0.0, color="0.6", lw=0.8)

@@ -11,9 +11,10 @@ from pgccd import arguments
 from pgccd.arguments import real_rows
 from pgccd.contacts.contacts import ContactColumns, PairColumns
 from pgccd.geometry.scene import Scene
+from pgccd.viz.shapes import drawn
 
 _GREY, _COLLIDING = (133, 158, 189), (245, 102, 31)
-# Length of the normals that are drawn, in SBV radii of the smallest mesh.
+# Length of the normals that are drawn, in radii of the smallest mesh as it is drawn.
 _NORMAL_LENGTH = 0.5
 
 
@@ -29,8 +30,8 @@ class Live:
         self._scene, self.server = scene, server
         self.address = f"http://{server.get_host()}:{server.get_port()}"
         self._index = scene.mesh_index.cpu().numpy()
-        self._meshes = [(mesh.vertices.numpy(), mesh.faces.numpy()) for mesh in scene.meshes.meshes]
-        self._length = _NORMAL_LENGTH * min(mesh.radius for mesh in scene.meshes.meshes)
+        self._shapes = [drawn(mesh) for mesh in scene.meshes.meshes]
+        self._length = _NORMAL_LENGTH * min(shape.radius for shape in self._shapes)
         self._handles: dict[str, Any] = {}
 
     def update(self, position: Tensor, orientation: Tensor | None = None, hits: PairColumns | None = None) -> None:
@@ -65,7 +66,7 @@ class Live:
             return
         turn = real_rows(orientation, "orientation", count, 4, place.device).cpu().numpy()
         with self.server.atomic():
-            for mesh, (vertices, faces) in enumerate(self._meshes):
+            for mesh, shape in enumerate(self._shapes):
                 members = self._index == mesh
                 if not members.any():
                     continue
@@ -74,14 +75,15 @@ class Live:
                 name = f"/mesh {mesh}"
                 if name not in self._handles:
                     add = self.server.scene.add_batched_meshes_simple
-                    self._handles[name] = add(name, vertices, faces, flat_shading=True, side="double", **columns)
+                    style: dict[str, Any] = {"flat_shading": True, "side": "double"}
+                    self._handles[name] = add(name, shape.vertices, shape.faces, **style, **columns)
                 for column, values in columns.items():
                     setattr(self._handles[name], column, values)
             self._show_contacts(hits)
 
     def _look_at(self, points: np.ndarray) -> None:
         """Where browsers that connect from now on look from: all bodies are in sight."""
-        reach = max(mesh.reach for mesh in self._scene.meshes.meshes)
+        reach = max(shape.reach for shape in self._shapes)
         lower, upper = points.min(axis=0) - reach, points.max(axis=0) + reach
         centre, size = 0.5 * (lower + upper), float(np.linalg.norm(upper - lower))
         camera = self.server.initial_camera
@@ -91,10 +93,11 @@ class Live:
     def _show_vertices(self, position: np.ndarray, colours: np.ndarray) -> None:
         begin = self._scene.layout.vertex_begin.tolist()
         for body, mesh in enumerate(self._index.tolist()):
-            count, name = len(self._meshes[mesh][0]), f"/body {body}"
-            vertices, colour = position[begin[body] : begin[body] + count], tuple(colours[body].tolist())
+            shape, name = self._shapes[mesh], f"/body {body}"
+            own = position[begin[body] : begin[body] + shape.vertex_count]
+            vertices, colour = shape.moved(own[None])[0], tuple(colours[body].tolist())
             if name not in self._handles:
-                add, faces = self.server.scene.add_mesh_simple, self._meshes[mesh][1]
+                add, faces = self.server.scene.add_mesh_simple, shape.faces
                 self._handles[name] = add(name, vertices, faces, color=colour, flat_shading=True, side="double")
             self._handles[name].vertices, self._handles[name].color = vertices, colour
 

@@ -60,7 +60,7 @@ def colours_at_first(animation: Animation) -> np.ndarray:
     if len(rows):
         i, j = animation.marks.bodies[rows[0]]
         colours[j], colours[i] = _SECOND, _FIRST
-    radius = np.array([np.linalg.norm(vertices, axis=1).max(initial=0.0) for vertices, _ in animation.shapes])
+    radius = np.array([np.linalg.norm(shape.vertices, axis=1).max(initial=0.0) for shape in animation.shapes])
     faint = faint_bodies(animation.marks, animation.static, radius[animation.shape_index])
     colours[faint & animation.colliding] = _FAINT
     return colours
@@ -84,12 +84,14 @@ def vertices_at(animation: Animation, segment: int, time: float) -> list[np.ndar
         moments = (0.0, 1.0) if paths.is_linear else (time,)
         ends = [poses_at(paths, segment, moment) for moment in moments]
         for body, shape in enumerate(animation.shape_index.tolist()):
-            vertices = animation.shapes[shape][0]
-            at_ends = [placed(vertices, x[body, None], q[body, None])[0] for x, q in ends]
-            found.append((1.0 - time) * at_ends[0] + time * at_ends[-1])
+            drawn = animation.shapes[shape]
+            at_ends = [placed(drawn.vertices, x[body, None], q[body, None])[0] for x, q in ends]
+            mixed = (1.0 - time) * at_ends[0] + time * at_ends[-1]
+            found.append(drawn.moved(mixed[None, : drawn.vertex_count])[0] if paths.is_linear else mixed)
         return found
     first, last = paths.ends[segment]
     position = (1.0 - time) * paths.position[first] + time * paths.position[last]
     for body, shape in enumerate(animation.shape_index.tolist()):
-        found.append(position[paths.begin[body] :][: len(animation.shapes[shape][0])])
+        drawn = animation.shapes[shape]
+        found.append(drawn.moved(position[None, paths.begin[body] :][:, : drawn.vertex_count])[0])
     return found

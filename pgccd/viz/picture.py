@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from pgccd.geometry.mesh import Mesh
 from pgccd.viz.impact import COLLIDING, PAPER, draw_gap, draw_impact, draw_section
 from pgccd.viz.raster import Camera, Canvas, placed
+from pgccd.viz.shapes import Shape, drawn
 from pgccd.viz.simplify import simplified, stored_bytes
 from pgccd.viz.snapshot import Snapshot
 
@@ -66,9 +66,9 @@ def world_picture(path: str | Path, snapshot: Snapshot) -> Path:
     return path
 
 
-def _coarse(mesh: Mesh, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (V, 3) and about `count` faces (F, 3) of a mesh, all of them if there are fewer."""
-    vertices, faces = mesh.vertices.numpy(), mesh.faces.numpy()
+def _coarse(shape: Shape, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (V, 3) and about `count` faces (F, 3) of a shape, all of them if there are fewer."""
+    vertices, faces = shape.vertices, shape.faces
     if len(faces) <= count:
         return vertices, faces
     size = stored_bytes(count // 2, count)
@@ -99,10 +99,11 @@ def _draw_world(axes: Any, snapshot: Snapshot, shown: np.ndarray, title: str) ->
     distance = float(np.linalg.norm(camera.eye))
     canvas = Canvas(camera, PAPER, (distance - size, distance + size))
     rows = np.flatnonzero(shown)
-    across = [2.0 * mesh.radius * _PANEL[1] / camera.height for mesh in snapshot.meshes]
+    shapes = [drawn(mesh) for mesh in snapshot.meshes]
+    across = [2.0 * shape.radius * _PANEL[1] / camera.height for shape in shapes]
     surfaces = [
-        _coarse(mesh, max(_FEWEST_TRIANGLES, int(0.25 * pixels**2)))
-        for mesh, pixels in zip(snapshot.meshes, across, strict=True)
+        _coarse(shape, max(_FEWEST_TRIANGLES, int(0.25 * pixels**2)))
+        for shape, pixels in zip(shapes, across, strict=True)
     ]
     part = max(1, -(-len(rows) * max(len(faces) for _, faces in surfaces) // _MOST_TRIANGLES))
     rows = rows[::part]

@@ -79,10 +79,10 @@ def _joined(animation: Animation, bodies: list[np.ndarray]) -> Iterator[tuple[np
     """Vertices (V, 3), faces (T, 3) and the body row (T,) of each face, of many bodies at a time."""
     begin, triangles = 0, 0
     for end, shape in enumerate(animation.shape_index.tolist(), 1):
-        triangles += len(animation.shapes[shape][1])
+        triangles += len(animation.shapes[shape].faces)
         if triangles >= _TRIANGLES_AT_ONCE or end == len(bodies):
             rows = range(begin, end)
-            of_rows = [animation.shapes[animation.shape_index[row]][1] for row in rows]
+            of_rows = [animation.shapes[animation.shape_index[row]].faces for row in rows]
             first = np.cumsum([0, *(len(bodies[row]) for row in rows)])
             faces = [k + faces for k, faces in zip(first, of_rows, strict=False)]
             body = np.repeat(np.arange(begin, end), [len(faces) for faces in of_rows])

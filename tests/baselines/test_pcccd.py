@@ -130,6 +130,10 @@ def test_nonsense_is_refused_by_name() -> None:
         PCCCD.create(crowd.meshes, "a")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="report"):
         PCCCD.create(crowd.meshes, report="any")  # type: ignore[arg-type]
+    box = pgccd.Mesh.box([1.0, 1.0, 1.0])
+    for other in (pgccd.Mesh.sphere(0.5), pgccd.Mesh.capsule(0.1, 1.0), box.thickened(0.1)):
+        with pytest.raises(ValueError, match=r"^meshes: expected triangles alone.* as number 1"):
+            PCCCD.create([box, other])
     baseline = PCCCD.create(crowd.meshes)
     with pytest.raises(RuntimeError, match="nothing has been detected"):
         baseline.balance()

@@ -161,8 +161,6 @@ def test_what_is_no_mesh_is_named(tmp_path: Path) -> None:
             load(tmp_path / "scan.glb")
     with pytest.raises(ValueError, match="^mesh: .*a point cloud named 'scan'"):
         pgccd.Mesh.from_trimesh(written)
-    with pytest.raises(ValueError, match="^mesh: .*lines"):
-        pgccd.Mesh.from_trimesh(trimesh.load_path([[0, 0, 0], [1, 0, 0]]))
 
 
 def test_from_trimesh_and_scene() -> None:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from mutants_of.mutant import Mutant
 
-POLYGONS, FORMATS, MESHES, CHECKS = (
-    f"pgccd/geometry/{name}.py" for name in ("polygons", "mesh_formats", "mesh_files", "file_checks")
+POLYGONS, FORMATS, MESHES, CHECKS, POINTS = (
+    f"pgccd/geometry/{name}.py" for name in ("polygons", "mesh_formats", "mesh_files", "file_checks", "point_files")
 )
 SCENES = "pgccd/files.py"
 ON_FORMATS = ("geometry/test_mesh_formats.py",)
 ON_CHECKS = ("geometry/test_file_checks.py",)
 ON_MESHES = ("geometry/test_mesh_files.py",)
+ON_POINTS = ("geometry/test_point_files.py",)
 ON_SCENES = ("test_files.py", "auditing/test_runs.py")
 
 
@@ -160,10 +161,18 @@ MUTANTS = [
     _mutant(
         "points-left-out",
         MESHES,
-        "        if faces is None:\n",
-        "        if faces is None:\n            continue\n",
+        "    if others and any(geometry.kinds is None and len(geometry.faces) for geometry in found):\n",
+        "    if False:\n",
         ON_MESHES,
     ),
+    _mutant("gltf-lines-joined", MESHES, 'in (".glb", ".gltf") and any(', 'in (".gltf",) and any(', ON_POINTS),
+    _mutant("mirrored-segments", MESHES, "geometry.kinds is None and np.linalg.det", "np.linalg.det", ON_POINTS),
+    _mutant("point-twice", MESHES, "    repeats[alone] = True\n", "", ON_POINTS),
+    _mutant("segments-after-points", MESHES, '[np.argsort(geometry.kinds[kept], kind="stable")]', "", ON_POINTS),
+    _mutant("strips-as-points", POINTS, "            other = name\n", "            pass\n", ON_POINTS),
+    _mutant("vertices-as-points", POINTS, "    if not records:\n", "    if False:\n", ON_POINTS),
+    _mutant("line-backwards", POINTS, "else before + number", "else len(begins) + number", ON_POINTS),
+    _mutant("edge-out-of-range", POINTS, "(rows < count)", "(rows <= count)", ON_POINTS),
     _mutant("fewer-than-declared", MESHES, "declared is not None and read < declared", "False", ON_CHECKS),
     _mutant(
         "weld-by-one-coordinate", MESHES, "!= ordered[:-1]).any(axis=1)", "!= ordered[:-1]).all(axis=1)", ON_MESHES

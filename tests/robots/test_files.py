@@ -431,3 +431,13 @@ def test_readers_are_named_where_they_are_missing(tmp_path: Path, monkeypatch: p
     for load, reader in ((pgccd.robots.load_urdf, "yourdfpy"), (pgccd.robots.load_mjcf, "mujoco")):
         with pytest.raises(ImportError, match=rf"^{reader} reads .*pip install 'pgccd\[robots\]'"):
             load(tmp_path / "a.urdf")
+
+
+def test_mirrored_lines_of_a_link(tmp_path: Path) -> None:
+    pytest.importorskip("yourdfpy")
+    (tmp_path / "wire.obj").write_text("v 0 0 0\nv 1 0 0\nv 1 1 0\nl 1 2 3\np 3\n")
+    text = '<robot name="r"><link name="a"><collision><geometry><mesh filename="wire.obj" scale="-2 1 1"/></geometry>'
+    (tmp_path / "r.urdf").write_text(f"{text}</collision></link></robot>")
+    (mesh,) = pgccd.robots.load_urdf(tmp_path / "r.urdf").meshes
+    assert (mesh.triangle_count, mesh.segment_count, mesh.point_count) == (0, 2, 1)
+    assert (mesh.vertices + mesh.origin).tolist() == [[0, 0, 0], [-2, 0, 0], [-2, 1, 0]]
