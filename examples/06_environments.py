@@ -21,7 +21,8 @@ ENVIRONMENTS, OBSTACLES, SIZE, STEPS, DT = 1000, 12, 4.0, 25, 0.15
 # **One scene for all.** Body rows are those of environment 0, then of environment 1, and so on. The column `world` says
 # which environment a body belongs to. Obstacles are `static`: they are not tested against each other.
 
-flyer, pillar, block = pgccd.Mesh.icosphere(0.2, subdivisions=2), pgccd.Mesh.cylinder(0.15, 3.0), pgccd.Mesh.box([0.6] * 3)
+flyer = pgccd.Mesh.icosphere(0.2, subdivisions=2)
+pillar, block = pgccd.Mesh.cylinder(0.15, 3.0), pgccd.Mesh.box([0.6] * 3)
 each = [0] + [1] * (OBSTACLES // 2) + [2] * (OBSTACLES // 2)
 rows = len(each)
 scene = pgccd.Scene(

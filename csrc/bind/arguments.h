@@ -93,9 +93,9 @@ inline void check_offsets(const MeshSetView& view, const MeshOffsets& sizes) {
   }
   const MeshOffsets first = view.offsets[0], last = view.offsets[view.mesh_count];
   const bool is_all = first.vertex == 0 && first.face == 0 && first.edge == 0 && first.block == 0 &&
-                      first.leaf_points == 0 && first.corners == 0 && last.vertex == sizes.vertex && last.face == sizes.face &&
-                      last.edge == sizes.edge && last.block == sizes.block && last.leaf_points == sizes.leaf_points &&
-                      last.corners == sizes.corners;
+                      first.leaf_points == 0 && first.corners == 0 && last.vertex == sizes.vertex &&
+                      last.face == sizes.face && last.edge == sizes.edge && last.block == sizes.block &&
+                      last.leaf_points == sizes.leaf_points && last.corners == sizes.corners;
   STD_TORCH_CHECK(is_all, "mesh_set.offsets: expected the first row to be 0, and the last one the sizes of the others");
 }
 

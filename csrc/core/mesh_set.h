@@ -13,9 +13,9 @@ namespace pgccd {
 // them. In a mesh triangles come first, then segments, then points; a leaf has elements of one kind.
 enum class ElementKind : int32_t { kTriangle = 0, kSegment = 1, kPoint = 2 };
 
-// One element, in the order of the hierarchy's leaves. Every vertex and every edge of a mesh is *represented* by exactly
-// one of its elements (representative triangles, Curtis, Tamstorf & Manocha 2008), so that a feature pair is emitted
-// once.
+// One element, in the order of the hierarchy's leaves. Every vertex and every edge of a mesh is *represented* by
+// exactly one of its elements (representative triangles, Curtis, Tamstorf & Manocha 2008), so that a feature pair is
+// emitted once.
 struct Triangle {
   int32_t vertex[3];
   int32_t edge[3];      // edge k joins vertex k and vertex (k + 1) % 3; -1 if they are the same

@@ -65,9 +65,9 @@ NodeSupport rounded_up(const Samples& samples, Vec3<double> centre, double radiu
   NodeSupport out;
   for (int row = 0; row < kSampleRows; ++row) {
     const Double4 support = samples[row] - projections(kDirections[row], centre) + slack;
-    const Double4 steps = smaller(larger(steps_a_length * support, none), most);
-    Int4 bytes = __builtin_convertvector(steps, Int4);
-    for (int q = 0; q < kDoubleLanes; ++q) bytes[q] += static_cast<double>(bytes[q]) < steps[q] ? 1 : 0;
+    Double4 steps = smaller(larger(steps_a_length * support, none), most);
+    for (int q = 0; q < kDoubleLanes; ++q) steps[q] = std::ceil(steps[q]);
+    const Int4 bytes = __builtin_convertvector(steps, Int4);
     out.rows[row / (kSupportCells + 1)][row % (kSupportCells + 1)] =
         bytes[0] | bytes[1] << 8 | bytes[2] << 16 | bytes[3] << 24;
   }

@@ -15,7 +15,9 @@ struct MovingCorners {
   PGCCD_HD double size(double angle) const {
     double largest = 0.0;
     for (int k = 0; k < 3; ++k) {
-      largest = larger(sum_of_magnitudes(constant[k]) + (1.0 + angle) * (sum_of_magnitudes(first[k]) + sum_of_magnitudes(second[k])), largest);
+      largest = larger(
+          sum_of_magnitudes(constant[k]) + (1.0 + angle) * (sum_of_magnitudes(first[k]) + sum_of_magnitudes(second[k])),
+          largest);
     }
     return largest;
   }

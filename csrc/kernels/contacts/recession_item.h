@@ -230,8 +230,8 @@ class Recession {
     const CornersAt b_first = CornersAt::of(b, turned(1, 0), site_.toi);
     const double at_toi = start + change * site_.toi + (b_first.lowest() - a_first.highest());
     if (!(at_toi >= needed)) return false;  // most poor directions end here
-    const double size =
-        sum_of_magnitudes(site_.between) + sum_of_magnitudes(site_.change) + sets.one.size(angle_[0]) + sets.other.size(angle_[1]);
+    const double size = sum_of_magnitudes(site_.between) + sum_of_magnitudes(site_.change) + sets.one.size(angle_[0]) +
+                        sets.other.size(angle_[1]);
     const double error = kRounding * size;
     if (!(at_toi - error >= needed)) return false;
     if (!turns_) {  // lowest at one of the ends

@@ -37,9 +37,9 @@ PGCCD_HD void triangle_at_start(const PairTree<Bodies>& tree, int side, int32_t 
 constexpr int kFirstEdgeBit = 6;
 constexpr int kFeaturePairBits = 15;
 
-// A vertex and a face that is a segment or a point need a test only if the vertex is that of a point: other vertices are
-// ends of an edge, which is tested against the segment, or, if the face is a point, belong to elements that are. Two
-// points are tested once.
+// A vertex and a face that is a segment or a point need a test only if the vertex is that of a point: other vertices
+// are ends of an edge, which is tested against the segment, or, if the face is a point, belong to elements that are.
+// Two points are tested once.
 PGCCD_HD uint32_t represented_pairs(const Triangle& ti, const Triangle& tj) {
   const ElementKind kind_i = ti.kind(), kind_j = tj.kind();
   const bool is_point_i = kind_i == ElementKind::kPoint, is_point_j = kind_j == ElementKind::kPoint;
