@@ -58,8 +58,8 @@ def measure(count: int, device: str, rounds: int) -> dict[str, Any]:
     motion = pgccd.RigidMotion.from_velocity(start, upright, velocity, spin, dt=1.0)
     row: dict[str, Any] = {"points": count, "mesh, s": timing.rounded(seconds)}
     for report in ("first", "all"):
-        found = pgccd.detect(scene, motion, report)  # type: ignore[arg-type]
-        spent = [timing.seconds(lambda: pgccd.detect(scene, motion, report), device)[0] for _ in range(rounds)]  # type: ignore[arg-type]  # noqa: B023
+        found = pgccd.detect(scene, motion, report)
+        spent = [timing.seconds(lambda: pgccd.detect(scene, motion, report), device)[0] for _ in range(rounds)]
         row |= {f"{report}, ms": timing.summary(spent)["median"], f"{report}, contacts": len(found)}
     return row
 

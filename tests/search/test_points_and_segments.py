@@ -229,6 +229,9 @@ def test_no_feature_pair_twice(device: torch.device) -> None:
     hits = pgccd.detect(scene, pgccd.RigidMotion.at_rest(x, q), "all")
     rows = torch.cat([hits.pairs, hits.kind[:, None], hits.features], 1).tolist()
     assert len({tuple(row) for row in rows}) == len(rows) > 100
+    # Two points are one pair, as vertex of i and face of j.
+    of_clouds = hits.kind[(hits.pairs[:, 0] == 1) & (hits.pairs[:, 1] == 4)]
+    assert len(of_clouds) > 10 and (of_clouds == 0).all()
 
 
 def test_deforming_wires_meet_themselves(device: torch.device) -> None:
