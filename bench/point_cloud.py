@@ -9,6 +9,7 @@ shrink so that they still cover the surface.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -59,7 +60,8 @@ def measure(count: int, device: str, rounds: int) -> dict[str, Any]:
     row: dict[str, Any] = {"points": count, "mesh, s": timing.rounded(seconds)}
     for report in ("first", "all"):
         found = pgccd.detect(scene, motion, report)
-        spent = [timing.seconds(lambda: pgccd.detect(scene, motion, report), device)[0] for _ in range(rounds)]
+        call = partial(pgccd.detect, scene, motion, report)
+        spent = [timing.seconds(call, device)[0] for _ in range(rounds)]
         row |= {f"{report}, ms": timing.summary(spent)["median"], f"{report}, contacts": len(found)}
     return row
 

@@ -46,7 +46,7 @@ def resolve_and_check(made: RandomScene, device: torch.device) -> pgccd.Resoluti
 
 @pytest.mark.filterwarnings("ignore:scene. it has one body")
 def test_random_scenes(device: torch.device) -> None:
-    made = [(scene.kind, resolve_and_check(scene, device)) for scene in scenes(75)]
+    made = [(scene.kind, resolve_and_check(scene, device)) for scene in scenes(112)]
     assert {kind for kind, _ in made} == {"rigid", "posed", "linear", "deforming"}
     stopped = sum(int(((r.fraction > 0.0) & (r.fraction < 1.0)).any()) for _, r in made)
     listed = [sum(len(getattr(r, name)) > 0 for _, r in made) for name in ("touching_at_start", "unresolved")]
