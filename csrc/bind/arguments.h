@@ -85,8 +85,7 @@ inline void check_offsets(const MeshSetView& view, const MeshOffsets& sizes) {
   for (int64_t mesh = 0; mesh <= view.mesh_count; ++mesh) {
     const MeshOffsets from = mesh == 0 ? MeshOffsets{} : view.offsets[mesh - 1], at = view.offsets[mesh];
     const bool ascend = at.vertex >= from.vertex && at.face >= from.face && at.edge >= from.edge &&
-                        at.block >= from.block && at.leaf_points >= from.leaf_points &&
-                        at.corners >= from.corners + (mesh == 0 ? 0 : kMaxLeafTriangles);
+                        at.block >= from.block && at.leaf_points >= from.leaf_points && at.corners >= from.corners;
     const bool end = at.vertex <= sizes.vertex && at.face <= sizes.face && at.edge <= sizes.edge &&
                      at.block <= sizes.block && at.leaf_points <= sizes.leaf_points && at.corners <= sizes.corners;
     STD_TORCH_CHECK(ascend && end, "mesh_set.offsets: row ", mesh, ": expected ascending rows of the other tensors");
@@ -109,13 +108,15 @@ inline MeshSetView mesh_set_view(const std::vector<Tensor>& t) {
   view.node_blocks = rows<float, NodeBlock>(t[4], "mesh_set.node_blocks", {kAnySize, kBlockColumns, kBlockWidth});
   view.node_links = rows<int32_t, NodeLink>(t[5], "mesh_set.node_links", {t[4].size(0), kBlockWidth, 4});
   view.leaf_points = rows<int32_t, LeafPoints>(t[6], "mesh_set.leaf_points", {kAnySize, 4, kBlockWidth});
-  view.corners = {rows<float>(t[7], "mesh_set.corners", {9, kAnySize}), t[7].size(1)};
+  const int64_t corners = t[7].size(1) - kMaxLeafTriangles;
+  view.corners = {rows<float>(t[7], "mesh_set.corners", {9, kAnySize}), t[7].size(1), corners != t[1].size(0)};
+  STD_TORCH_CHECK(corners >= 0, "mesh_set.corners: columns are not padded");
   view.offsets = rows<int64_t, MeshOffsets>(t[8], "mesh_set.offsets", {kAnySize, 6});
   view.mesh_count = t[8].size(0) - 1;
   view.feature_count = std::max({t[0].size(0), t[1].size(0), t[2].size(0)});
   STD_TORCH_CHECK(view.mesh_count >= 0, "mesh_set.offsets: expected at least one row");
   if (!t[8].is_cuda()) {
-    check_offsets(view, {t[0].size(0), t[1].size(0), t[2].size(0), t[4].size(0), t[6].size(0), t[7].size(1)});
+    check_offsets(view, {t[0].size(0), t[1].size(0), t[2].size(0), t[4].size(0), t[6].size(0), corners});
   }
   // Empty if every mesh has its SBV centre at its origin.
   const int64_t centres = t[9].size(0) == 0 ? 0 : t[8].size(0) - 1;

@@ -71,11 +71,12 @@ struct MeshOffsets {
 };
 
 // Corners of the triangles and segments in float32, as nine columns (corner 0 x, y, z, corner 1 x, ...) of `stride`
-// values, so that eight neighbouring elements load as lanes; the rows of each mesh are padded at their end for that.
-// Points have none: they would be three copies.
+// values, so that eight neighbouring elements load as lanes; the columns are padded at their end for that. Points have
+// none: they would be three copies. Without points, rows are those of `triangles`.
 struct CornerColumns {
   const float* first;
   int64_t stride;
+  bool leaves_out_points;
 };
 
 // Which meshes are solids, and one vertex of each connected piece of triangles and segments of every mesh. All null if

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from pgccd import arguments
 from pgccd.geometry.incidence import incidence
-from pgccd.geometry.mesh import Mesh
+from pgccd.geometry.mesh import LEAF_SIZE, Mesh
 from pgccd.geometry.solids import opening, vertices_of_components
 
 # Of the tensors of a mesh set: where each mesh's pieces begin, if any is a solid.
@@ -51,17 +51,16 @@ class MeshSet:
         for index, mesh in enumerate(meshes):
             arguments.instance(mesh, f"meshes[{index}]", Mesh)
         self.meshes = list(meshes)
-        counts = torch.tensor(
-            [
-                [len(rows) for rows in (m.vertices, m.faces, m.edges, m._node_links, m._leaf_points, m._corners[0])]
-                for m in meshes
-            ]
-        )
+        columns = ("vertices", "faces", "edges", "_triangles", "_node_blocks", "_node_links", "_leaf_points")
+        counted = ("vertices", "faces", "edges", "_node_links", "_leaf_points")
+        sizes = [[len(getattr(m, each)) for each in counted] + [m._corners.shape[1] - LEAF_SIZE] for m in meshes]
+        counts = torch.tensor(sizes)
         self.offsets = torch.cat([torch.zeros((1, 6), dtype=torch.int64), counts.cumsum(0)])
         self.radius = torch.tensor([m.radius for m in meshes], dtype=torch.float64, device=device)
-        columns = ("vertices", "faces", "edges", "_triangles", "_node_blocks", "_node_links", "_leaf_points")
         joined = [_joined([getattr(m, column) for m in meshes]) for column in columns]
-        corners = _joined([m._corners for m in meshes], dim=1)
+        # All but the last without their padding.
+        padded = [*(m._corners[:, :-LEAF_SIZE] for m in meshes[:-1]), meshes[-1]._corners]
+        corners = _joined(padded, dim=1)
         self.is_centred = not any(bool(m.centre_offset.any()) for m in meshes)
         off_centre = [] if self.is_centred else meshes
         centres = torch.cat([torch.empty((0, 3), dtype=torch.float64), *(m.centre_offset[None] for m in off_centre)])

@@ -52,8 +52,6 @@ struct alignas(16) RigidSweep : PairFrame {
   float inflation;  // distance to keep, chord deviation and rounding, local units
   float growth[2];  // see `slab_growth`
   int segment_count;
-  int32_t corner_count[2];  // elements that have rows of corners, from first_corner on
-  int64_t first_corner[2];
   float start_distance;
   float segment_deviation;  // of the chords of one segment, local units
 
@@ -92,9 +90,6 @@ struct alignas(16) RigidSweep : PairFrame {
     segment_deviation = sweep_detail::rounded_up(scale * deviation);
     start_distance = sweep_detail::start_distance(settings, scale * path.rounding);
     for (int side = 0; side < 2; ++side) {
-      const MeshOffsets* rows = bodies.meshes.offsets + bodies.mesh_index[body[side]];
-      first_corner[side] = rows[0].corners;
-      corner_count[side] = static_cast<int32_t>(rows[1].corners - rows[0].corners) - kBlockWidth;
       const double angle = norm(load_vec3(bodies.rotation + 3 * body[side]));
       const double whole_change = smaller(angle, 2.0), change = smaller(horizon * angle / segment_count, 2.0);
       growth[side] = sweep_detail::rounded_up(bodies.linear_path ? 1.5 * horizon * whole_change : 0.5 * change);
@@ -186,9 +181,13 @@ struct alignas(16) RigidSweep : PairFrame {
   // Corners of one triangle, or (T = Float8) of eight successive ones.
   template <class T>
   PGCCD_HD Corners<T> corners(const RigidBodies& bodies, int side, int32_t triangle, int) const {
-    if (triangle >= corner_count[side]) return corners_of_points<T>(bodies, side, triangle);
     const CornerColumns& columns = bodies.meshes.corners;
-    const int64_t row = first_corner[side] + triangle;
+    int64_t row = first_face[side] + triangle;
+    if (columns.leaves_out_points) {
+      const MeshOffsets* rows = bodies.meshes.offsets + bodies.mesh_index[body[side]];
+      row = rows[0].corners + triangle;
+      if (row >= rows[1].corners) return corners_of_points<T>(bodies, side, triangle);
+    }
     const auto column = [&](int index) { return load<T>(columns.first + index * columns.stride + row); };
     Corners<T> out;
     for (int c = 0; c < 3; ++c) out.corner[c] = {column(3 * c), column(3 * c + 1), column(3 * c + 2)};
