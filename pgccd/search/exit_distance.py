@@ -178,7 +178,7 @@ class _MovedApart:
         direction: (P, 3).
         way: (P,) translations beyond which the bodies are certainly apart.
         stray: (P,) how far translated points may be from their places.
-        radius: (P,) SBV radius of the smaller body.
+        radius: (P,) SBV radius of the smaller body, of a sphere its own.
     """
 
     scene: Scene
@@ -205,7 +205,7 @@ class _MovedApart:
             row = int((far + way).argmax())
             furthest = f"reach {float((far + way)[row]):.3g}, beyond {arguments.LONGEST:g}"
             raise ValueError(f"motion: bodies {pairs[row].tolist()} would {furthest}, if they were moved apart")
-        return cls(bodies.scene, still, pairs, direction, way, stray, bodies.radius[pairs].amin(dim=1))
+        return cls(bodies.scene, still, pairs, direction, way, stray, bodies.scene._size[pairs].amin(dim=1))
 
     def halved(self, separation: float) -> Tensor:
         """(P,): translations at which bodies of many faces certainly touch, few of them near the last one; others 0."""

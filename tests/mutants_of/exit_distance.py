@@ -41,7 +41,7 @@ MUTANTS = [
     _exit("lower-without-separation", "near.upper <= separation", "near.upper <= 0.0"),
     _exit("lower-of-contacts", "hits[(hits.kind == Kind.EF_AB) | (hits.kind == Kind.EF_BA)]", "hits"),
     _exit("lower-of-distances-only", "touches[passes.pairs[:, 0] // 2] = True", "pass"),
-    _exit("lower-of-larger", "bodies.radius[pairs].amin(dim=1)", "bodies.radius[pairs].amax(dim=1)"),
+    _exit("lower-of-larger", "bodies.scene._size[pairs].amin(dim=1)", "bodies.scene._size[pairs].amax(dim=1)"),
     _exit("halves-below", "torch.where(touches, middle, below)", "middle"),
     _exit("halves-above", "torch.where(touches, above, middle)", "above"),
     _exit("bodies-with-themselves", "pairs[pairs[:, 0] != pairs[:, 1]]", "pairs"),
