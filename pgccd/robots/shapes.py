@@ -46,12 +46,9 @@ class ThickSurface:
         return replace(self, thickness=self.thickness + thickness)
 
     def scaled(self, scale: np.ndarray) -> ThickSurface:
-        """With coordinates multiplied by factors (3,). Mirrored triangles keep their outside."""
-        faces = self.faces.copy()
-        if np.prod(np.sign(scale)) < 0.0:
-            is_triangle = faces[:, 1] != faces[:, 2]
-            faces[is_triangle] = faces[is_triangle, ::-1]
-        return replace(self, vertices=self.vertices * scale, faces=faces)
+        """With coordinates multiplied by factors (3,), of triangles alone. Mirrored ones keep their outside."""
+        faces = self.faces[:, ::-1] if np.prod(np.sign(scale)) < 0.0 else self.faces
+        return replace(self, vertices=self.vertices * scale, faces=np.ascontiguousarray(faces))
 
     def mesh(self, name: str) -> Mesh:
         """The mesh, without a frame of its own.
@@ -76,6 +73,17 @@ class ThickSurface:
     def reach(self) -> float:
         """Bound of the distance of its points from the origin."""
         return float(np.linalg.norm(self.vertices, axis=1).max()) * (1.0 + 2.0**-50) + self.thickness
+
+
+def of_file(mesh: Mesh, scale: np.ndarray) -> ThickSurface:
+    """The surface of a mesh file, with coordinates multiplied by factors (3,).
+
+    Raises:
+        ValueError: the file holds points or segments alone, between which a link would have nothing.
+    """
+    if mesh.triangle_count < len(mesh.faces):
+        raise ValueError(f"expected a file of triangles, got {mesh!r}")
+    return ThickSurface(mesh.vertices.numpy(), mesh.faces.long().numpy()).scaled(scale)
 
 
 def box(size: np.ndarray) -> ThickSurface:

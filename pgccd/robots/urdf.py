@@ -216,7 +216,7 @@ def _surface(link: str, collision: Any, path: Path, packages: Mapping[str, str |
             file = _file(geometry.mesh.filename, path, packages)
             mesh = Mesh.load(file, unit="m")
             scale = np.ones(3) if geometry.mesh.scale is None else np.asarray(geometry.mesh.scale) * np.ones(3)
-            surface = ThickSurface(mesh.vertices.numpy(), mesh.faces.long().numpy()).scaled(scale)
+            surface = shapes.of_file(mesh, scale)
     except (OSError, ValueError) as error:
         raise type(error)(f"path: {path}: link {link!r}: {error}") from error
     if collision.origin is None:

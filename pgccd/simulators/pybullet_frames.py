@@ -134,8 +134,7 @@ def _surface(
     elif points:
         return _hull(np.array(points)).thickened(thickness)  # placed already
     elif kind == bullet.GEOM_MESH and points is None:
-        mesh = Mesh.load(file.decode(), unit="m")
-        made = ThickSurface(mesh.vertices.numpy(), mesh.faces.long().numpy(), thickness).scaled(np.array(size))
+        made = shapes.of_file(Mesh.load(file.decode(), unit="m"), np.array(size)).thickened(thickness)
     else:
         raise ValueError(f"expected a box, sphere, capsule, cylinder, plane or mesh file, got PyBullet's kind {kind}")
     q = np.array(turn)[[3, 0, 1, 2]]

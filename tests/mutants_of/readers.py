@@ -76,7 +76,7 @@ MUTANTS = [
     _mutant("newton-transform", NEWTON, ".placed(placed[:3], _wxyz(placed[3:]))", "", ON_SIMULATORS),
     _mutant("bullet-hull-margin", BULLET, "_HULL = 1e-3", "_HULL = 0.9e-3", ON_SIMULATORS),
     _mutant("bullet-mesh-unit", BULLET, 'file.decode(), unit="m"', "file.decode()", ON_SIMULATORS),
-    _mutant("bullet-mesh-scale", BULLET, ".scaled(np.array(size))", ".scaled(np.abs(size))", ON_ORACLES),
+    _mutant("bullet-mesh-scale", BULLET, 'unit="m"), np.array(size))', 'unit="m"), np.abs(size))', ON_ORACLES),
     _mutant(
         "bullet-capsule-whole",
         BULLET,

@@ -433,11 +433,11 @@ def test_readers_are_named_where_they_are_missing(tmp_path: Path, monkeypatch: p
             load(tmp_path / "a.urdf")
 
 
-def test_mirrored_lines_of_a_link(tmp_path: Path) -> None:
+def test_links_of_lines_or_points_are_refused(tmp_path: Path) -> None:
+    """Between them a link would have nothing that could touch."""
     pytest.importorskip("yourdfpy")
     (tmp_path / "wire.obj").write_text("v 0 0 0\nv 1 0 0\nv 1 1 0\nl 1 2 3\np 3\n")
-    text = '<robot name="r"><link name="a"><collision><geometry><mesh filename="wire.obj" scale="-2 1 1"/></geometry>'
+    text = '<robot name="r"><link name="a"><collision><geometry><mesh filename="wire.obj"/></geometry>'
     (tmp_path / "r.urdf").write_text(f"{text}</collision></link></robot>")
-    (mesh,) = pgccd.robots.load_urdf(tmp_path / "r.urdf").meshes
-    assert (mesh.triangle_count, mesh.segment_count, mesh.point_count) == (0, 2, 1)
-    assert (mesh.vertices + mesh.origin).tolist() == [[0, 0, 0], [-2, 0, 0], [-2, 1, 0]]
+    with pytest.raises(ValueError, match="link .a.: expected a file of triangles, got Mesh.*segments=2, points=1"):
+        pgccd.robots.load_urdf(tmp_path / "r.urdf")
