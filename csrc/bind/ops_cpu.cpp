@@ -1,4 +1,5 @@
 // The operators on the CPU.
+#include "bind/arm_ops.h"
 #include "bind/contact_ops.h"
 #include "bind/cpu_session.h"
 #include "bind/detect_ops.h"
@@ -13,6 +14,7 @@
 namespace pgccd::bind {
 
 STABLE_TORCH_LIBRARY_IMPL(pgccd, CPU, library) {
+  register_arm_ops<CpuSession>(library);
   register_contact_ops<CpuSession>(library);
   register_detect_ops<CpuSession>(library);
   register_distance_ops<CpuSession>(library);

@@ -1,0 +1,139 @@
+// The operators of robots, templates over the session that they run in.
+#pragma once
+
+#include "bind/outputs.h"
+#include "kernels/arms/certify.h"
+#include "kernels/arms/kinematics.h"
+
+namespace pgccd::bind {
+
+// joints, places, crossing, body_frame, body_reach: see kernels/arms/arm.h.
+inline Arm arm_view(const TensorList& t, double room) {
+  STD_TORCH_CHECK(t.size() == 5, "arm: expected 5 tensors, got ", t.size());
+  Arm arm{};
+  arm.joints = rows<int32_t, Joint>(t[0], "arm.joints", {kAnySize, kJointColumns});
+  arm.joint_count = t[0].size(0);
+  arm.places = rows<double, JointPlace>(t[1], "arm.places", {arm.joint_count, kPlaceColumns});
+  arm.crossing = rows<double>(t[2], "arm.crossing", {arm.joint_count, arm.joint_count});
+  arm.body_frame = rows<int32_t>(t[3], "arm.body_frame", {kAnySize});
+  arm.body_count = t[3].size(0);
+  arm.body_reach = rows<double>(t[4], "arm.body_reach", {arm.body_count});
+  arm.room = room;
+  return arm;
+}
+
+// position_t0, position_t1, orientation, rotation, error.
+inline ArmObstacles obstacles_view(const TensorList& t, bool move) {
+  STD_TORCH_CHECK(t.size() == 5, "obstacles: expected 5 tensors, got ", t.size());
+  ArmObstacles view{};
+  view.position_t0 = rows<double>(t[0], "obstacles.position_t0", {kAnySize, kAnySize, 3});
+  view.row_count = t[0].size(0);
+  view.count = t[0].size(1);
+  view.position_t1 = rows<double>(t[1], "obstacles.position_t1", {view.row_count, view.count, 3});
+  view.orientation = rows<double>(t[2], "obstacles.orientation", {view.row_count, view.count, 4});
+  view.rotation = rows<double>(t[3], "obstacles.rotation", {view.row_count, view.count, 3});
+  view.error = rows<double>(t[4], "obstacles.error", {view.count});
+  view.move = move;
+  return view;
+}
+
+// bodies: mesh_index, radius, margin; pairs (., 3).
+inline ArmScene arm_scene_view(const TensorList& mesh_set, const TensorList& arm, const TensorList& bodies,
+                               const TensorList& obstacles, bool obstacles_move, double room) {
+  STD_TORCH_CHECK(bodies.size() == 4, "bodies: expected 4 tensors, got ", bodies.size());
+  ArmScene scene{};
+  scene.arm = arm_view(arm, room);
+  scene.obstacles = obstacles_view(obstacles, obstacles_move);
+  scene.meshes = mesh_set_view(mesh_set);
+  const int64_t count = scene.arm.body_count + scene.obstacles.count;
+  scene.mesh_index = rows<int32_t>(bodies[0], "bodies.mesh_index", {count});
+  scene.radius = rows<double>(bodies[1], "bodies.radius", {count});
+  scene.margin = rows<double>(bodies[2], "bodies.margin", {count});
+  scene.pairs = rows<int32_t, ArmPair>(bodies[3], "bodies.pairs", {kAnySize, kArmPairColumns});
+  scene.pair_count = bodies[3].size(0);
+  return scene;
+}
+
+template <class Session>
+struct ArmOps {
+  static std::tuple<Tensor, Tensor> arm_poses(const TensorList& arm, const Tensor& q) {
+    Arm view = arm_view(arm, 0.0);
+    const double* const configurations = rows<double>(q, "q", {kAnySize, kAnySize});
+    view.coordinate_count = q.size(1);
+    check_arm(view, arm);
+    const int64_t count = q.size(0);
+    Tensor position = new_tensor<double>(q, {count, view.body_count, 3});
+    Tensor orientation = new_tensor<double>(q, {count, view.body_count, 4});
+    pgccd::arm_poses(Session(q).context(), view, configurations, count,
+                     {data<double>(position), data<double>(orientation)});
+    return {position, orientation};
+  }
+
+  static Tensor arm_strays(const TensorList& arm, const Tensor& q0, const Tensor& q1) {
+    Arm view = arm_view(arm, 0.0);
+    const int64_t count = q0.size(0);
+    const double* const from = rows<double>(q0, "q0", {kAnySize, kAnySize});
+    view.coordinate_count = q0.size(1);
+    const double* const to = rows<double>(q1, "q1", {count, view.coordinate_count});
+    check_arm(view, arm);
+    Tensor stray = new_tensor<double>(q0, {count, view.body_count});
+    pgccd::arm_strays(Session(q0).context(), view, from, to, count, data<double>(stray));
+    return stray;
+  }
+
+  using Verdicts = std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor, Tensor>;
+
+  static Verdicts certify_paths(const TensorList& mesh_set, const TensorList& arm, const TensorList& bodies,
+                                const TensorList& obstacles, bool obstacles_move, double room, const Tensor& waypoints,
+                                double resolution) {
+    ArmScene scene = arm_scene_view(mesh_set, arm, bodies, obstacles, obstacles_move, room);
+    const double* const q = rows<double>(waypoints, "waypoints", {kAnySize, kAnySize, kAnySize});
+    const ArmPaths paths{q, waypoints.size(0), waypoints.size(1)};
+    scene.arm.coordinate_count = waypoints.size(2);
+    check_arm(scene.arm, arm);
+    STD_TORCH_CHECK(paths.waypoint_count >= 2, "waypoints: expected two or more, got ", paths.waypoint_count);
+    STD_TORCH_CHECK(resolution > 0.0 && resolution <= kLargestLength,
+                    "resolution: expected a length in (0, 1e150], got ", resolution);
+    const int64_t rows_needed =
+        scene.obstacles.move ? paths.waypoint_count - 1 : (scene.obstacles.row_count == 1 ? 1 : paths.path_count);
+    STD_TORCH_CHECK(scene.obstacles.row_count == rows_needed, "obstacles: expected ", rows_needed, " rows, got ",
+                    scene.obstacles.row_count);
+    const int64_t count = paths.path_count;
+    Tensor verdict = new_tensor<int8_t>(waypoints, {count}), segment = new_tensor<int64_t>(waypoints, {count});
+    Tensor toi = new_tensor<double>(waypoints, {count}), both = new_tensor<int32_t>(waypoints, {count, 2});
+    Tensor point = new_tensor<double>(waypoints, {count, 3});
+    Tensor counts = new_tensor<int64_t>(waypoints, {count, int64_t{kArmCounts}});
+    pgccd::certify(Session(waypoints).context(), scene, paths, resolution,
+                   {data<int8_t>(verdict), data<int64_t>(segment), data<double>(toi), data<int32_t>(both),
+                    data<double>(point), data<int64_t>(counts)});
+    return {verdict, segment, toi, both, point, counts};
+  }
+
+ private:
+  // Of joints on the host: parents come first, and coordinates are there.
+  static void check_arm(const Arm& arm, const TensorList& tensors) {
+    if (tensors[0].is_cuda()) return;
+    for (int64_t k = 0; k < arm.joint_count; ++k) {
+      const Joint& joint = arm.joints[k];
+      STD_TORCH_CHECK(joint.parent >= kWorld && joint.parent < k, "arm.joints: row ", k,
+                      ": expected a parent before it");
+      const bool moves = joint.turns() || joint.slides();
+      STD_TORCH_CHECK(moves ? is_within(joint.coordinate, arm.coordinate_count) : joint.coordinate == -1,
+                      "arm.joints: row ", k, ": expected a coordinate of those given, and -1 if it is fixed");
+    }
+    for (int64_t body = 0; body < arm.body_count; ++body) {
+      STD_TORCH_CHECK(is_within(arm.body_frame[body], arm.joint_count), "arm.body_frame: row ", body,
+                      ": expected a joint");
+    }
+  }
+};
+
+template <class Session>
+void register_arm_ops(Library& library) {
+  using Ops = ArmOps<Session>;
+  library.impl("arm_poses", PGCCD_BOX(Ops::arm_poses));
+  library.impl("arm_strays", PGCCD_BOX(Ops::arm_strays));
+  library.impl("certify_paths", PGCCD_BOX(Ops::certify_paths));
+}
+
+}  // namespace pgccd::bind

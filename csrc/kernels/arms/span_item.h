@@ -1,0 +1,148 @@
+// Two bodies over a part of a segment, in their common frame; and what follows from their first contact there.
+#pragma once
+
+#include "kernels/arms/kinematics_item.h"
+#include "kernels/bounds/moving_box_item.h"
+#include "kernels/bounds/moving_sphere_item.h"
+#include "kernels/bounds/pose_item.h"
+#include "kernels/broad/box_item.h"
+
+namespace pgccd {
+
+// Parts of the resolution: the tolerance of contacts; and the margins aimed at when a span is split.
+constexpr double kContactTolerance = 0.125, kWantedMargin = 0.25;
+// A span is split into at most so many parts, and not if it is shorter than this part of its segment: then rounding
+// decides.
+constexpr int kMostParts = 8;
+constexpr double kShortestSpan = 0x1p-30;
+
+// The arc of an obstacle during a part of a segment: of the same points at the same times as on the whole arc.
+PGCCD_HD ArmArc arc_of_obstacle(const ArmObstacles& obstacles, int64_t obstacle, int64_t path, int64_t segment,
+                                double begin, double end) {
+  const int64_t row = obstacles.row(path, segment) * obstacles.count + obstacle;
+  const Vec3<double> from = load_vec3(obstacles.position_t0 + 3 * row);
+  const Quaternion turned = load_quaternion(obstacles.orientation + 4 * row);
+  if (!obstacles.move) return {{from, turned}, from, {0.0, 0.0, 0.0}, 0.0};
+  const Vec3<double> to = load_vec3(obstacles.position_t1 + 3 * row);
+  const Vec3<double> rotation = load_vec3(obstacles.rotation + 3 * row);
+  const auto at = [&](double s) { return (1.0 - s) * from + s * to; };
+  return {{at(begin), orientation_at(turned, rotation, begin)},
+          at(end),
+          (end - begin) * rotation,
+          obstacles.error[obstacle]};
+}
+
+// Rows of bodies, as the stages of detection read them.
+template <int kCount>
+struct ArcRows {
+  double position_t0[3 * kCount], position_t1[3 * kCount], orientation[4 * kCount], rotation[3 * kCount];
+  double radius[kCount], margin[kCount];
+  int32_t mesh_index[kCount];
+};
+
+// Memory of these rows.
+struct ArcColumns {
+  double *position_t0, *position_t1, *orientation, *rotation, *radius, *margin;
+  int32_t* mesh_index;
+
+  PGCCD_HD void store(int64_t row, const ArmArc& arc, const ArmScene& scene, int64_t body) const {
+    store_vec3(position_t0 + 3 * row, arc.start.position);
+    store_vec3(position_t1 + 3 * row, arc.end);
+    orientation[4 * row] = arc.start.orientation.w;
+    store_vec3(orientation + 4 * row + 1, arc.start.orientation.v);
+    store_vec3(rotation + 3 * row, arc.rotation);
+    radius[row] = scene.radius[body];
+    margin[row] = arc.stray == 0.0 ? scene.margin[body] : add_up(scene.margin[body], arc.stray);
+    mesh_index[row] = scene.mesh_index[body];
+  }
+
+  PGCCD_HD RigidBodies bodies(const MeshSetView& meshes, int64_t count) const {
+    return {meshes, mesh_index, {position_t0, position_t1, radius, count, margin}, orientation, rotation, false};
+  }
+};
+
+// A part of a segment of a path.
+struct PathSpan {
+  int64_t path, segment;
+  double begin, end;
+};
+
+PGCCD_HD ArmSpan joints_over(const ArmPaths& paths, const Arm& arm, const PathSpan& span) {
+  const double* const from =
+      paths.waypoints + (span.path * paths.waypoint_count + span.segment) * arm.coordinate_count;
+  return {from, from + arm.coordinate_count, span.begin, span.end};
+}
+
+// The arc of a body or an obstacle in a frame.
+PGCCD_HD ArmArc arc_over(const ArmScene& scene, const ArmPaths& paths, const PathSpan& span, int64_t body,
+                         int32_t frame) {
+  if (body >= scene.arm.body_count) {
+    return arc_of_obstacle(scene.obstacles, body - scene.arm.body_count, span.path, span.segment, span.begin, span.end);
+  }
+  return arc_of_body(scene.arm, joints_over(paths, scene.arm, span), body, frame);
+}
+
+// Where the search of a span goes on after its first contact at `toi` of it.
+struct AfterContact {
+  double at;  // the pair is certainly free before it
+  bool ends;  // it comes near there
+  int parts;  // else the rest is searched in so many parts
+};
+
+// `stray`: of both bodies, added.
+PGCCD_HD AfterContact after_contact(const PathSpan& span, double toi, double stray, double resolution) {
+  const double length = span.end - span.begin;
+  // Rounded down: never late. What is before has been certified.
+  AfterContact after{span.begin, false, 2};
+  if (toi > 0.0) after.at = larger((span.begin + toi * length) * (1.0 - 0x1p-50), span.begin);
+  after.ends = 2.0 * stray + kContactTolerance * resolution <= resolution || length <= kShortestSpan;
+  const double share = (span.end - after.at) / length;
+  const double wanted = std::ceil(std::sqrt(stray / (kWantedMargin * resolution)) * share);
+  after.parts = wanted > 2.0 ? static_cast<int>(smaller(wanted, static_cast<double>(kMostParts))) : 2;
+  return after;
+}
+
+// Edge k of a span that is divided into equal parts.
+PGCCD_HD double edge_of_part(double begin, double end, int64_t k, int64_t parts) {
+  if (k == 0) return begin;
+  return k == parts ? end : begin + (end - begin) * (static_cast<double>(k) / static_cast<double>(parts));
+}
+
+// The number of parts into which a segment is split first.
+PGCCD_HD int64_t first_parts(const Arm& arm, const ArmSpan& segment) {
+  return static_cast<int64_t>(larger(std::ceil(most_turn(arm, segment) / (0.99 * kMostTurn)), 1.0));
+}
+
+// Whether the poses of a path are computed with the proven bounds, those of obstacles included.
+PGCCD_HD bool is_sound_path(const ArmScene& scene, const ArmPaths& paths, int64_t path) {
+  const Arm& arm = scene.arm;
+  for (int64_t waypoint = 0; waypoint < paths.waypoint_count; ++waypoint) {
+    const double* const q = paths.waypoints + (path * paths.waypoint_count + waypoint) * arm.coordinate_count;
+    for (int64_t k = 0; k < arm.coordinate_count; ++k) {
+      if (!(magnitude(q[k]) <= kLargestJointValue)) return false;
+    }
+    double slides = 0.0;
+    for (int32_t k = 0; k < arm.joint_count; ++k) {
+      const int32_t coordinate = arm.joints[k].coordinate;
+      if (coordinate < 0) continue;
+      const JointPlace& place = arm.places[k];
+      if (!(magnitude(q[coordinate]) * magnitude(place.scale) + magnitude(place.offset) <= kLargestJointValue)) {
+        return false;
+      }
+      if (arm.joints[k].slides()) slides += magnitude(value_of(place, q[coordinate]));
+    }
+    if (slides > arm.room) return false;
+    if (waypoint > 0 && !(most_turn(arm, {q - arm.coordinate_count, q, 0.0, 1.0}) <= kLongestTurn)) return false;
+  }
+  const ArmObstacles& obstacles = scene.obstacles;
+  if (obstacles.move) return true;
+  for (int64_t k = 0; k < obstacles.count; ++k) {
+    const int64_t row = obstacles.row(path, 0) * obstacles.count + k;
+    const RowColumn position{obstacles.position_t0, row + 1, 3, RowCheck::kMagnitude, kLargestCoordinate};
+    const RowColumn orientation{obstacles.orientation, row + 1, 4, RowCheck::kUnitLength, kUnitTolerance};
+    if (is_invalid(position, row) || is_invalid(orientation, row)) return false;
+  }
+  return true;
+}
+
+}  // namespace pgccd
