@@ -7,17 +7,19 @@
 
 namespace pgccd::bind {
 
-// joints, places, crossing, body_frame, body_reach: see kernels/arms/arm.h.
+// joints, places, crossing, chain_begin, chain, body_reach: see kernels/arms/arm.h.
 inline Arm arm_view(const TensorList& t, double room) {
-  STD_TORCH_CHECK(t.size() == 5, "arm: expected 5 tensors, got ", t.size());
+  STD_TORCH_CHECK(t.size() == 6, "arm: expected 6 tensors, got ", t.size());
   Arm arm{};
   arm.joints = rows<int32_t, Joint>(t[0], "arm.joints", {kAnySize, kJointColumns});
   arm.joint_count = t[0].size(0);
   arm.places = rows<double, JointPlace>(t[1], "arm.places", {arm.joint_count, kPlaceColumns});
   arm.crossing = rows<double>(t[2], "arm.crossing", {arm.joint_count, arm.joint_count});
-  arm.body_frame = rows<int32_t>(t[3], "arm.body_frame", {kAnySize});
-  arm.body_count = t[3].size(0);
-  arm.body_reach = rows<double>(t[4], "arm.body_reach", {arm.body_count});
+  arm.chain_begin = rows<int32_t>(t[3], "arm.chain_begin", {kAnySize});
+  arm.body_count = t[3].size(0) - 1;
+  STD_TORCH_CHECK(arm.body_count >= 0, "arm.chain_begin: expected at least one row");
+  arm.chain = rows<int32_t>(t[4], "arm.chain", {kAnySize});
+  arm.body_reach = rows<double>(t[5], "arm.body_reach", {arm.body_count});
   arm.room = room;
   return arm;
 }
@@ -110,20 +112,23 @@ struct ArmOps {
   }
 
  private:
-  // Of joints on the host: parents come first, and coordinates are there.
+  // Of tensors on the host: that rows which are named are there.
   static void check_arm(const Arm& arm, const TensorList& tensors) {
     if (tensors[0].is_cuda()) return;
     for (int64_t k = 0; k < arm.joint_count; ++k) {
       const Joint& joint = arm.joints[k];
-      STD_TORCH_CHECK(joint.parent >= kWorld && joint.parent < k, "arm.joints: row ", k,
-                      ": expected a parent before it");
-      const bool moves = joint.turns() || joint.slides();
-      STD_TORCH_CHECK(moves ? is_within(joint.coordinate, arm.coordinate_count) : joint.coordinate == -1,
-                      "arm.joints: row ", k, ": expected a coordinate of those given, and -1 if it is fixed");
+      STD_TORCH_CHECK(
+          joint.turns() || joint.slides() ? is_within(joint.coordinate, arm.coordinate_count) : joint.coordinate == -1,
+          "arm.joints: row ", k, ": expected a coordinate of those given, and -1 if it is fixed");
     }
-    for (int64_t body = 0; body < arm.body_count; ++body) {
-      STD_TORCH_CHECK(is_within(arm.body_frame[body], arm.joint_count), "arm.body_frame: row ", body,
-                      ": expected a joint");
+    const int64_t size = tensors[4].size(0);
+    for (int64_t body = 0; body <= arm.body_count; ++body) {
+      const int64_t least = body == 0 ? 0 : arm.chain_begin[body - 1];
+      STD_TORCH_CHECK(arm.chain_begin[body] >= least && arm.chain_begin[body] <= size, "arm.chain_begin: row ", body,
+                      ": expected ascending rows of `chain`");
+    }
+    for (int64_t row = 0; row < size; ++row) {
+      STD_TORCH_CHECK(is_within(arm.chain[row], arm.joint_count), "arm.chain: row ", row, ": expected a joint");
     }
   }
 };

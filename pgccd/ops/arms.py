@@ -16,7 +16,7 @@ Arm = Sequence[Tensor]
 @operator
 def arm_poses(arm: Arm, q: Tensor) -> tuple[Tensor, Tensor]:
     """World poses (K, N, 3) and (K, N, 4) of the bodies in configurations q (K, J)."""
-    count, bodies = q.shape[0], arm[3].shape[0]
+    count, bodies = q.shape[0], arm[3].shape[0] - 1
     return float64(q, count, bodies, 3), float64(q, count, bodies, 4)
 
 
@@ -25,7 +25,7 @@ def arm_strays(arm: Arm, q0: Tensor, q1: Tensor) -> Tensor:
     """(K, N): how far points of bodies stray, at most, from the arcs between their poses in configurations q0 and q1
     (K, J), rounding of poses included; all joints of a chain turn by at most 1 rad, added.
     """
-    return float64(q0, q0.shape[0], arm[3].shape[0])
+    return float64(q0, q0.shape[0], arm[3].shape[0] - 1)
 
 
 @operator

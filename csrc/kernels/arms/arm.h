@@ -17,6 +17,7 @@ struct Joint {
 
   PGCCD_HD bool turns() const { return kind == static_cast<int32_t>(JointKind::kRevolute); }
   PGCCD_HD bool slides() const { return kind == static_cast<int32_t>(JointKind::kPrismatic); }
+  PGCCD_HD bool moves() const { return coordinate >= 0; }
 };
 constexpr int64_t kJointColumns = 3;
 
@@ -29,8 +30,6 @@ struct JointPlace {
 constexpr int64_t kPlaceColumns = 13;
 static_assert(sizeof(JointPlace) == kPlaceColumns * sizeof(double));
 
-constexpr int32_t kWorld = -1;  // the frame of the base's parent
-
 struct Arm {
   int64_t joint_count;       // frames
   const Joint* joints;       // parents come first
@@ -40,15 +39,16 @@ struct Arm {
   const double* crossing;
   int64_t coordinate_count;
   int64_t body_count;
-  const int32_t* body_frame;  // (bodies,)
-  const double* body_reach;   // (bodies,) bound of the distance of a body's points from the origin of its frame
-  double room;                // all prismatic joints together slide by less: see `Robot._room` in Python
+  const int32_t* chain_begin;  // (bodies + 1,) first rows of the bodies' chains
+  const int32_t* chain;        // frames from the base to that of a body
+  const double* body_reach;    // (bodies,) bound of the distance of a body's points from the origin of its frame
+  double room;                 // all prismatic joints together slide by less: see `Robot._room` in Python
 };
 
-// Two bodies, the first of which belongs to the robot, and the frame that both are placed in: the last one that
-// carries both, or kWorld.
+// Two bodies, the first of which belongs to the robot. Both are placed in the last frame that carries both, the last of
+// `shared` frames that their chains begin with; or in the world, if these are none.
 struct ArmPair {
-  int32_t first, second, frame;
+  int32_t first, second, shared;
 };
 constexpr int64_t kArmPairColumns = 3;
 

@@ -9,26 +9,34 @@ namespace pgccd {
 namespace {
 
 constexpr double kNever = std::numeric_limits<double>::infinity();
-// Configurations of a segment, behind a contact, in which bodies are looked at: denser near the contact.
-constexpr int kWitnesses = 15;
+// Configurations behind a contact in which bodies are looked at.
+constexpr int kWitnesses = 16;
 
-// Everything on the calling thread.
-class OneThread final : public Executor {
- public:
-  int worker_count() const override { return 1; }
-  void run(int, const std::function<void(int)>& work) const override { work(0); }
-};
+ArcColumns columns_of(ArcRows<2>& rows) {
+  return {rows.position_t0, rows.position_t1, rows.orientation, rows.rotation,
+          rows.radius,      rows.margin,      rows.mesh_index};
+}
 
-struct PairMemory {
-  ArcRows<2> rows;
+// Whether two bodies may come within the tolerance: by their spheres and boxes.
+bool may_touch(const RigidBodies& bodies, double tolerance) {
   double centres[12], reach[2];
   MovingBox boxes[2];
-
-  ArcColumns columns() {
-    return {rows.position_t0, rows.position_t1, rows.orientation, rows.rotation,
-            rows.radius,      rows.margin,      rows.mesh_index};
+  BroadBodies broad{};
+  broad.count = 2;
+  broad.centres = {centres, centres + 6, reach, 2};
+  broad.tolerance = tolerance;
+  for (int side = 0; side < 2; ++side) {
+    const MovingSphere sphere = moving_sphere(bodies, side);
+    store_vec3(centres + 3 * side, sphere.centre_t0);
+    store_vec3(centres + 6 + 3 * side, sphere.centre_t1);
+    reach[side] = add_up(sphere.reach, bodies.centres.margin[side]);
   }
-};
+  if (!spheres_may_meet(broad, 0, 1)) return false;
+  if (bodies.meshes.boxes == nullptr) return true;
+  for (int side = 0; side < 2; ++side) boxes[side] = moving_box(SingleThread{}, bodies, side);
+  broad.boxes = boxes;
+  return boxes_may_meet(broad, 0, 1);
+}
 
 }  // namespace
 
@@ -40,6 +48,9 @@ PathSearch::PathSearch(const ArmScene& scene, double resolution) : scene_(scene)
   const auto column = [&](int64_t width) { return std::exchange(next, next + width * count); };
   rows_ = {column(3), column(3), column(4), column(3), column(1), column(1), mesh_index_.data()};
   centres_.resize(7 * count);
+  joints_.resize(scene.arm.joint_count);
+  is_placed_.resize(scene.arm.joint_count);
+  balls_.resize(count);
   spheres_.count = count;
   spheres_.centres = {centres_.data(), centres_.data() + 3 * count, centres_.data() + 6 * count, count};
   spheres_.tolerance = kContactTolerance * resolution;
@@ -48,93 +59,106 @@ PathSearch::PathSearch(const ArmScene& scene, double resolution) : scene_(scene)
 // All bodies, and the spheres that contain them, over a span.
 void PathSearch::place_all(const PathSpan& span) {
   ++verdict_.counts[kSpans];
+  const Arm& arm = scene_.arm;
+  const ArmSpan over = joints_over(paths_, arm, span);
   const RigidBodies bodies = rows_.bodies(scene_.meshes, spheres_.count);
   const int64_t count = spheres_.count;
   double* const centres = centres_.data();
+  std::fill(is_placed_.begin(), is_placed_.end(), 0);
   for (int64_t body = 0; body < count; ++body) {
-    rows_.store(body, arc_over(scene_, paths_, span, body, kWorld), scene_, body);
+    ArmArc arc;
+    if (body < arm.body_count) {
+      const JointChain chain = chain_of(arm, body, 0, joints_.data());
+      for (int32_t n = 0; n < chain.count; ++n) {
+        if (std::exchange(is_placed_[chain.frames[n]], 1) == 0) place_joint(arm, over, chain, n);
+      }
+      arc = arc_of_body(arm, chain, span.begin == span.end, arm.body_reach[body]);
+    } else {
+      arc = arc_of_obstacle(body, span);
+    }
+    rows_.store(body, arc, scene_, body);
     const MovingSphere sphere = moving_sphere(bodies, body);
+    const double reach = add_up(sphere.reach, rows_.margin[body]);
     store_vec3(centres + 3 * body, sphere.centre_t0);
     store_vec3(centres + 3 * (count + body), sphere.centre_t1);
-    centres[6 * count + body] = add_up(sphere.reach, rows_.margin[body]);
+    centres[6 * count + body] = reach;
+    const Vec3<double> half = 0.5 * (sphere.centre_t1 - sphere.centre_t0);
+    balls_[body] = {sphere.centre_t0 + half, reach + norm(half)};
   }
 }
 
-bool PathSearch::may_meet(const ArmPair& pair) const { return spheres_may_meet(spheres_, pair.first, pair.second); }
+ArmArc PathSearch::arc_of_obstacle(int64_t body, const PathSpan& span) const {
+  return pgccd::arc_of_obstacle(scene_.obstacles, body - scene_.arm.body_count, span.path, span.segment, span.begin,
+                                span.end);
+}
 
-PathSearch::Touch PathSearch::touch(const ArmPair& pair, const PathSpan& span, Find find, double tolerance) {
+// By the spheres of two bodies; first by balls around their whole ways, which reject most pairs.
+bool PathSearch::may_meet(const ArmPair& pair) const {
+  const Ball &one = balls_[pair.first], &other = balls_[pair.second];
+  const Vec3<double> offset = other.centre - one.centre;
+  const double reach = (one.radius + other.radius + spheres_.tolerance) * (1.0 + 0x1p-40) +
+                       0x1p-48 * (max_abs(one.centre) + max_abs(other.centre));
+  return norm_squared(offset) <= reach * reach && spheres_may_meet(spheres_, pair.first, pair.second);
+}
+
+// The two bodies of a pair in its frame.
+void PathSearch::place_pair(const ArmPair& pair, const PathSpan& span, double& stray) {
+  const Arm& arm = scene_.arm;
+  stray = 0.0;
+  int side = 0;
+  for (const int32_t body : {pair.first, pair.second}) {
+    ArmArc arc;
+    if (body < arm.body_count) {
+      const ArmSpan over = joints_over(paths_, arm, span);
+      const JointChain chain = chain_of(arm, body, pair.shared, joints_.data());
+      for (int32_t n = 0; n < chain.count; ++n) place_joint(arm, over, chain, n);
+      arc = arc_of_body(arm, chain, span.begin == span.end, arm.body_reach[body]);
+    } else {
+      arc = arc_of_obstacle(body, span);
+    }
+    columns_of(pair_).store(side++, arc, scene_, body);
+    stray += arc.stray;
+  }
+}
+
+// Over a span: the time before which the pair is free, of the first contact where the span is fine.
+PathSearch::Touch PathSearch::touch(const ArmPair& pair, const PathSpan& span) {
   ++verdict_.counts[kPairSpans];
-  PairMemory memory;
-  const ArcColumns columns = memory.columns();
-  const int32_t both[2] = {pair.first, pair.second};
   Touch touch;
-  for (int side = 0; side < 2; ++side) {
-    const ArmArc arc = arc_over(scene_, paths_, span, both[side], pair.frame);
-    columns.store(side, arc, scene_, both[side]);
-    touch.stray += arc.stray;
+  place_pair(pair, span, touch.stray);
+  const RigidBodies bodies = columns_of(pair_).bodies(scene_.meshes, 2);
+  const double tolerance = kContactTolerance * resolution_;
+  if (!may_touch(bodies, tolerance)) return touch;
+  // Bodies that are apart at the start of a path are so at the start of every later span, unless one before it is not
+  // free.
+  const PairQuery query{{0, 1}, 0.0, tolerance, span.segment == 0 && span.begin == 0.0, Report::kFirst};
+  if (!is_fine(span, touch.stray, resolution_)) {
+    touch.toi = one_pair_.free_until(bodies, query);
+  } else if (const std::optional<PairContact> found = one_pair_.search(bodies, query)) {
+    touch.toi = found->outcome.toi;
+    touch.contact = *found;
   }
-  const RigidBodies bodies = columns.bodies(scene_.meshes, 2);
-  BroadBodies broad{};
-  broad.count = 2;
-  broad.centres = {memory.centres, memory.centres + 6, memory.reach, 2};
-  broad.tolerance = tolerance;
-  for (int side = 0; side < 2; ++side) {
-    const MovingSphere sphere = moving_sphere(bodies, side);
-    store_vec3(memory.centres + 3 * side, sphere.centre_t0);
-    store_vec3(memory.centres + 6 + 3 * side, sphere.centre_t1);
-    memory.reach[side] = add_up(sphere.reach, memory.rows.margin[side]);
-  }
-  if (!spheres_may_meet(broad, 0, 1)) return touch;
-  if (scene_.meshes.boxes != nullptr) {
-    for (int side = 0; side < 2; ++side) memory.boxes[side] = moving_box(SingleThread{}, bodies, side);
-    broad.boxes = memory.boxes;
-    if (!boxes_may_meet(broad, 0, 1)) return touch;
-  }
-  // Bodies that are apart at the start of a path are so at the start of every later span, unless one before it found a
-  // contact.
-  const bool tests_start = span.segment == 0 && span.begin == 0.0 ? true : span.begin == span.end;
-  const int64_t pairs[2] = {0, 1}, pair_count = 1;
-  int64_t traverse_counts[kTraverseCounts] = {}, contact_counts[kContactCounts] = {};
-  ContactSearch search;
-  search.traversal = {pairs, 1, nullptr, {0.0, tolerance, tests_start}};
-  search.narrow.pairs = pairs;
-  search.narrow.pair_count = 1;
-  search.narrow.settings = {0.0, tolerance, false};
-  search.narrow.report = find == Find::kAny ? Report::kAny : Report::kFirst;
-  search.pair_count = &pair_count;
-  search.contact_capacity = {0, 1};
-  search.traverse_counts = traverse_counts;
-  search.contact_counts = contact_counts;
-  struct Row {
-    int32_t pair;
-    int64_t bodies[2];
-    int8_t kind;
-    int32_t features[2];
-    int8_t status;
-    double toi, coordinates[2], point[3], normal[3];
-  } row{};
-  find_contacts(OneThread{}, bodies, search, [&](int64_t) {
-    return ContactColumns{&row.pair,   row.bodies, &row.kind,       row.features, &row.status,
-                          &row.toi, row.coordinates, row.point, row.normal};
-  });
-  verdict_.counts[kArmNodeTests] += traverse_counts[kNodeTests];
-  verdict_.counts[kArmCandidates] += traverse_counts[kCandidatesNeeded];
-  touch.found = row.toi < kNever;
-  touch.toi = row.toi;
-  touch.point = load_vec3(row.point);
   return touch;
+}
+
+std::optional<PairContact> PathSearch::contact_at_rest(const ArmPair& pair, const PathSpan& still, Report report) {
+  ++verdict_.counts[kPairSpans];
+  double stray;
+  place_pair(pair, still, stray);
+  const RigidBodies bodies = columns_of(pair_).bodies(scene_.meshes, 2);
+  if (!may_touch(bodies, 0.0)) return {};
+  return one_pair_.search(bodies, {{0, 1}, 0.0, 0.0, true, report});
 }
 
 // All pairs over a span; later than the first contact that is known nothing is searched.
 void PathSearch::search_span(const PathSpan& span) {
   place_all(span);
   met_.clear();
-  const double tolerance = kContactTolerance * resolution_;
   for (int64_t k = 0; k < scene_.pair_count; ++k) {
     if (!may_meet(scene_.pairs[k])) continue;
-    const Touch met = touch(scene_.pairs[k], span, Find::kFirst, tolerance);
-    if (!met.found) continue;
-    if (met.toi == 0.0 && span.segment == 0 && span.begin == 0.0 && starts_with_contact(span, k)) return;
+    const Touch met = touch(scene_.pairs[k], span);
+    if (met.toi == kNever) continue;
+    if (met.toi == 0.0 && span.segment == 0 && span.begin == 0.0 && starts_with_contact(span.path, k)) return;
     met_.emplace_back(k, met);
   }
   std::stable_sort(met_.begin(), met_.end(), [](const auto& a, const auto& b) { return a.second.toi < b.second.toi; });
@@ -143,14 +167,13 @@ void PathSearch::search_span(const PathSpan& span) {
 
 // What follows the contact of a pair over a span, part by part.
 void PathSearch::search_pair(int64_t pair, const PathSpan& span, const Touch& met) {
-  const double tolerance = kContactTolerance * resolution_;
   open_.clear();
   const auto go_on = [&](const PathSpan& within, const Touch& touched) {
-    const AfterContact after = after_contact(within, touched.toi, touched.stray, resolution_);
-    if (after.ends) return record(pair, within, after.at, touched);
-    for (int k = after.parts - 1; k >= 0; --k) {
-      open_.push_back({edge_of_part(after.at, within.end, k, after.parts),
-                       edge_of_part(after.at, within.end, k + 1, after.parts)});
+    const double at = time_of_contact(within, touched.toi);
+    if (is_fine(within, touched.stray, resolution_)) return record(pair, within, at, touched);
+    const int parts = parts_of_rest(within, at, touched.stray, resolution_);
+    for (int k = parts - 1; k >= 0; --k) {
+      open_.push_back({edge_of_part(at, within.end, k, parts), edge_of_part(at, within.end, k + 1, parts)});
     }
   };
   go_on(span, met);
@@ -158,8 +181,8 @@ void PathSearch::search_pair(int64_t pair, const PathSpan& span, const Touch& me
     const PathSpan part{span.path, span.segment, open_.back().begin, open_.back().end};
     open_.pop_back();
     if (!verdict_.first.is_after(part.segment, part.begin)) return;
-    const Touch touched = touch(scene_.pairs[pair], part, Find::kFirst, tolerance);
-    if (touched.found) go_on(part, touched);
+    const Touch touched = touch(scene_.pairs[pair], part);
+    if (touched.toi < kNever) go_on(part, touched);
   }
 }
 
@@ -169,49 +192,57 @@ void PathSearch::record(int64_t pair, const PathSpan& span, double at, const Tou
   if (!first.is_after(span.segment, at) && !(is_equal && pair < first.pair)) return;
   first = {span.segment, at, pair};
   verdict_.verdict = Verdict::kNear;
-  verdict_.point = to_world(scene_.pairs[pair].frame, met.point, span, span.begin + met.toi * (span.end - span.begin));
+  verdict_.point = point_of(scene_.pairs[pair], span, met.contact);
 }
 
-bool PathSearch::starts_with_contact(const PathSpan& span, int64_t pair) {
-  const PathSpan start{span.path, 0, 0.0, 0.0};
-  const Touch at_rest = touch(scene_.pairs[pair], start, Find::kFirst, 0.0);
-  if (!at_rest.found) return false;
+bool PathSearch::starts_with_contact(int64_t path, int64_t pair) {
+  const PathSpan start{path, 0, 0.0, 0.0};
+  const std::optional<PairContact> contact = contact_at_rest(scene_.pairs[pair], start, Report::kFirst);
+  if (!contact) return false;
   verdict_.verdict = Verdict::kStart;
   verdict_.first = {0, 0.0, pair};
-  verdict_.point = to_world(scene_.pairs[pair].frame, at_rest.point, start, 0.0);
+  verdict_.point = point_of(scene_.pairs[pair], start, *contact);
   return true;
 }
 
-Vec3<double> PathSearch::to_world(int32_t frame, Vec3<double> point, const PathSpan& span, double s) const {
-  const ArmSpan joints = joints_over(paths_, scene_.arm, span);
-  for (int32_t k = frame; k != kWorld; k = scene_.arm.joints[k].parent) {
-    const RigidPose pose = joint_pose(scene_.arm.joints[k], scene_.arm.places[k], joints.value(scene_.arm, k, s));
-    point = pose.position + rotated(pose.orientation, point);
-  }
-  return point;
+// The point of a contact in the world.
+Vec3<double> PathSearch::point_of(const ArmPair& pair, const PathSpan& span, const PairContact& contact) {
+  double stray;
+  place_pair(pair, span, stray);
+  const RigidBodies bodies = columns_of(pair_).bodies(scene_.meshes, 2);
+  const Vec3<double> point = place_of_contact(bodies, 0, 1, contact).point;
+  if (pair.shared == 0) return point;
+  PathSpan then = span;
+  then.begin = then.end = span.begin + contact.outcome.toi * (span.end - span.begin);
+  const ArmSpan at = joints_over(paths_, scene_.arm, then);
+  const JointChain chain = chain_of(scene_.arm, pair.first, 0, joints_.data());
+  for (int32_t n = 0; n < pair.shared; ++n) place_joint(scene_.arm, at, chain, n);
+  const RigidPose& frame = chain.motion(pair.shared - 1).begin;
+  return frame.position + rotated(frame.orientation, point);
 }
 
-// Whether bodies touch in one of some configurations behind a contact.
-bool PathSearch::touches_near(int64_t segment, double toi) {
-  for (int k = 0; k <= kWitnesses; ++k) {
-    const double ahead = k == 0 ? 0.0 : std::ldexp(1.0, k + 1 - kWitnesses);
-    PathSpan still{path_, segment, toi + (1.0 - toi) * ahead, 0.0};
-    if (k == kWitnesses) {
-      still.segment = std::min(segment + 1, paths_.waypoint_count - 2);
-      still.begin = 1.0;
-    }
-    still.end = still.begin;
-    if (any_touches(still)) return true;
-  }
-  return false;
+// The k-th configuration in which bodies are looked at behind a contact; denser near the contact.
+PathSpan PathSearch::witness(int k) const {
+  const FirstContact& first = verdict_.first;
+  if (k == kWitnesses - 1) return {path_, std::min(first.segment + 1, paths_.waypoint_count - 2), 1.0, 1.0};
+  const double s = first.toi + (1.0 - first.toi) * (k == 0 ? 0.0 : std::ldexp(1.0, k + 2 - kWitnesses));
+  return {path_, first.segment, s, s};
 }
 
-bool PathSearch::any_touches(const PathSpan& still) {
+// Whether bodies touch in one of these configurations: those that came near, which mostly do, or others.
+bool PathSearch::touch_behind() {
+  const auto touches = [&](int64_t pair, int k) {
+    return contact_at_rest(scene_.pairs[pair], witness(k), Report::kAny).has_value();
+  };
   const int64_t near = verdict_.first.pair;
-  if (touch(scene_.pairs[near], still, Find::kAny, 0.0).found) return true;
-  place_all(still);
-  for (int64_t k = 0; k < scene_.pair_count; ++k) {
-    if (k != near && may_meet(scene_.pairs[k]) && touch(scene_.pairs[k], still, Find::kAny, 0.0).found) return true;
+  for (int k = 0; k < kWitnesses; ++k) {
+    if (touches(near, k)) return true;
+  }
+  for (int k = 0; k < kWitnesses; ++k) {
+    place_all(witness(k));
+    for (int64_t pair = 0; pair < scene_.pair_count; ++pair) {
+      if (pair != near && may_meet(scene_.pairs[pair]) && touches(pair, k)) return true;
+    }
   }
   return false;
 }
@@ -219,6 +250,7 @@ bool PathSearch::any_touches(const PathSpan& still) {
 PathVerdict PathSearch::certify(const ArmPaths& paths, int64_t path, bool tells_collisions) {
   paths_ = paths;
   path_ = path;
+  one_pair_.node_tests = one_pair_.candidates = 0;
   verdict_ = {Verdict::kFree, {paths.waypoint_count, kNever, -1}, {NAN, NAN, NAN}, {}};
   if (!is_sound_path(scene_, paths, path)) {
     verdict_.verdict = Verdict::kInvalid;
@@ -235,8 +267,9 @@ PathVerdict PathSearch::certify(const ArmPaths& paths, int64_t path, bool tells_
     }
   }
   if (verdict_.verdict == Verdict::kFree) verdict_.first.segment = -1;
-  if (verdict_.verdict == Verdict::kNear && tells_collisions && touches_near(verdict_.first.segment, verdict_.first.toi))
-    verdict_.verdict = Verdict::kCollision;
+  if (verdict_.verdict == Verdict::kNear && tells_collisions && touch_behind()) verdict_.verdict = Verdict::kCollision;
+  verdict_.counts[kArmNodeTests] = one_pair_.node_tests;
+  verdict_.counts[kArmCandidates] = one_pair_.candidates;
   return verdict_;
 }
 
@@ -250,7 +283,7 @@ void certify(const Executor& executor, const ArmScene& scene, const ArmPaths& pa
                       out.verdict[path] = static_cast<int8_t>(found.verdict);
                       out.segment[path] = found.first.segment;
                       out.toi[path] = found.first.toi;
-                      const ArmPair none{-1, -1, kWorld};
+                      const ArmPair none{-1, -1, 0};
                       const ArmPair& pair = found.first.pair < 0 ? none : scene.pairs[found.first.pair];
                       out.bodies[2 * path] = pair.first;
                       out.bodies[2 * path + 1] = pair.second;

@@ -1,34 +1,55 @@
-#include "kernels/arms/kinematics.h"
+#include <vector>
 
+#include "kernels/arms/kinematics.h"
 #include "kernels/arms/kinematics_item.h"
 
 namespace pgccd {
 namespace {
 
-constexpr int64_t kGrain = 64;
+constexpr int64_t kGrain = 16;
 
-}  // namespace
-
-void arm_poses(const Executor& executor, const Arm& arm, const double* q, int64_t count, const ArmPoses& out) {
-  parallel_chunks(executor, count * arm.body_count, kGrain, [&](int, int64_t begin, int64_t end) {
-    for (int64_t row = begin; row < end; ++row) {
-      const double* const own = q + row / arm.body_count * arm.coordinate_count;
-      const ArmArc arc = arc_of_body(arm, {own, own, 0.0, 0.0}, row % arm.body_count, kWorld);
-      store_vec3(out.position + 3 * row, arc.start.position);
-      out.orientation[4 * row] = arc.start.orientation.w;
-      store_vec3(out.orientation + 4 * row + 1, arc.start.orientation.v);
+// Calls use(row, arc) for each body in each span.
+template <class SpanOf, class Use>
+void for_each_body(const Executor& executor, const Arm& arm, int64_t count, SpanOf&& span_of, Use&& use) {
+  parallel_chunks(executor, count, kGrain, [&](int, int64_t begin, int64_t end) {
+    std::vector<JointMotion> joints(arm.joint_count);
+    for (int64_t k = begin; k < end; ++k) {
+      const ArmSpan span = span_of(k);
+      for (int64_t body = 0; body < arm.body_count; ++body) {
+        const JointChain chain = chain_of(arm, body, 0, joints.data());
+        for (int32_t n = 0; n < chain.count; ++n) place_joint(arm, span, chain, n);
+        use(k * arm.body_count + body, arc_of_body(arm, chain, span.begin == span.end, arm.body_reach[body]));
+      }
     }
   });
 }
 
+ArmSpan configuration(const Arm& arm, const double* q, int64_t k) {
+  const double* const own = q + k * arm.coordinate_count;
+  return {own, own, 0.0, 0.0};
+}
+
+}  // namespace
+
+void arm_poses(const Executor& executor, const Arm& arm, const double* q, int64_t count, const ArmPoses& out) {
+  for_each_body(
+      executor, arm, count, [&](int64_t k) { return configuration(arm, q, k); },
+      [&](int64_t row, const ArmArc& arc) {
+        store_vec3(out.position + 3 * row, arc.start.position);
+        out.orientation[4 * row] = arc.start.orientation.w;
+        store_vec3(out.orientation + 4 * row + 1, arc.start.orientation.v);
+      });
+}
+
 void arm_strays(const Executor& executor, const Arm& arm, const double* q0, const double* q1, int64_t count,
                 double* stray) {
-  parallel_chunks(executor, count * arm.body_count, kGrain, [&](int, int64_t begin, int64_t end) {
-    for (int64_t row = begin; row < end; ++row) {
-      const int64_t first = row / arm.body_count * arm.coordinate_count;
-      stray[row] = arc_of_body(arm, {q0 + first, q1 + first, 0.0, 1.0}, row % arm.body_count, kWorld).stray;
-    }
-  });
+  for_each_body(
+      executor, arm, count,
+      [&](int64_t k) {
+        const int64_t first = k * arm.coordinate_count;
+        return ArmSpan{q0 + first, q1 + first, 0.0, 1.0};
+      },
+      [&](int64_t row, const ArmArc& arc) { stray[row] = arc.stray; });
 }
 
 }  // namespace pgccd

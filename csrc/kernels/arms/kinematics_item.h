@@ -23,9 +23,7 @@ PGCCD_HD RigidPose operator*(const RigidPose& outer, const RigidPose& inner) {
   return {outer.position + rotated(outer.orientation, inner.position), outer.orientation * inner.orientation};
 }
 
-PGCCD_HD double value_of(const JointPlace& place, double coordinate) {
-  return place.scale * coordinate + place.offset;
-}
+PGCCD_HD double value_of(const JointPlace& place, double coordinate) { return place.scale * coordinate + place.offset; }
 
 // A coordinate at time s of a segment.
 PGCCD_HD double coordinate_at(double begin, double end, double s) { return s == 1.0 ? end : begin + s * (end - begin); }
@@ -49,23 +47,66 @@ struct ArmSpan {
   const double* to;
   double begin, end;
 
-  PGCCD_HD double coordinate(int32_t k, double s) const { return coordinate_at(from[k], to[k], s); }
-  PGCCD_HD double value(const Arm& arm, int32_t joint, double s) const {
-    const int32_t k = arm.joints[joint].coordinate;
-    return k < 0 ? 0.0 : value_of(arm.places[joint], coordinate(k, s));
-  }
-  // By how much the value of a joint changes.
-  PGCCD_HD double step(const Arm& arm, int32_t joint) const {
-    return magnitude(value(arm, joint, end) - value(arm, joint, begin));
-  }
-  // Rounding of values grows with the waypoints, also where they are near zero.
-  PGCCD_HD double largest_value(const Arm& arm, int32_t joint) const {
-    const int32_t k = arm.joints[joint].coordinate;
-    if (k < 0) return 0.0;
-    const JointPlace& place = arm.places[joint];
-    return larger(magnitude(from[k]), magnitude(to[k])) * magnitude(place.scale) + magnitude(place.offset);
+  PGCCD_HD double value(const Joint& joint, const JointPlace& place, double s) const {
+    return value_of(place, coordinate_at(from[joint.coordinate], to[joint.coordinate], s));
   }
 };
+
+// A joint of a chain over a part of a segment.
+struct JointMotion {
+  RigidPose begin, end;  // of its frame in that of the chain
+  double step;           // by how much its value changes
+  double extent;         // the larger magnitude of its values at both ends
+  double largest;        // of its values at both waypoints: rounding grows with them, also where values are near zero
+  double turn_before;    // by how much joints before it turn, added
+  double cross_before;   // the same, each times the sine of the angle between both axes
+};
+
+// The last frames of the chain of a body, and memory for the motions of their joints, by frame.
+struct JointChain {
+  const int32_t* frames;
+  int32_t count;
+  JointMotion* motions;
+
+  PGCCD_HD JointMotion& motion(int32_t n) const { return motions[frames[n]]; }
+};
+
+PGCCD_HD JointChain chain_of(const Arm& arm, int64_t body, int32_t shared, JointMotion* motions) {
+  const int32_t begin = arm.chain_begin[body] + shared;
+  return {arm.chain + begin, arm.chain_begin[body + 1] - begin, motions};
+}
+
+// Computes the n-th motion of a chain, after those before it.
+PGCCD_HD void place_joint(const Arm& arm, const ArmSpan& span, const JointChain& chain, int32_t n) {
+  const int32_t k = chain.frames[n];
+  const Joint& joint = arm.joints[k];
+  const JointPlace& place = arm.places[k];
+  JointMotion motion{};
+  double from = 0.0, to = 0.0;
+  if (joint.moves()) {
+    from = span.value(joint, place, span.begin);
+    to = span.value(joint, place, span.end);
+    const double q = larger(magnitude(span.from[joint.coordinate]), magnitude(span.to[joint.coordinate]));
+    motion.largest = q * magnitude(place.scale) + magnitude(place.offset);
+  }
+  motion.step = magnitude(to - from);
+  motion.extent = larger(magnitude(from), magnitude(to));
+  motion.begin = motion.end = joint_pose(joint, place, from);
+  if (to != from) motion.end = joint_pose(joint, place, to);
+  if (n > 0) {
+    const JointMotion& before = chain.motion(n - 1);
+    motion.begin = before.begin * motion.begin;
+    motion.end = before.end * motion.end;
+    motion.turn_before = before.turn_before + (arm.joints[chain.frames[n - 1]].turns() ? before.step : 0.0);
+  }
+  if (motion.step > 0.0 && joint.turns()) {
+    for (int32_t m = 0; m < n; ++m) {
+      if (!arm.joints[chain.frames[m]].turns()) continue;
+      motion.cross_before += chain.motion(m).step * arm.crossing[chain.frames[m] * arm.joint_count + k];
+    }
+  }
+  chain.motion(n) = motion;
+}
 
 // A body on an arc: its pose at the begin, its rotation and where it ends, and how far its points are from their places
 // on it at any equal time, at most.
@@ -84,69 +125,44 @@ constexpr double kBoundRounding = 1.0 + 0x1p-40;
 // Error of a computed pose, in units of the length of the chain and for each joint and radian.
 constexpr double kPoseError = 0x1p-46;
 
-// What joints above one in its chain, up to a frame, contribute.
-struct Above {
-  double turn = 0.0;   // sum of their turns
-  double cross = 0.0;  // the same, each times the sine of the angle between both axes
-};
-
-PGCCD_HD Above joints_above(const Arm& arm, const ArmSpan& span, int32_t joint, int32_t frame) {
-  Above above;
-  for (int32_t k = arm.joints[joint].parent; k != frame; k = arm.joints[k].parent) {
-    if (!arm.joints[k].turns()) continue;
-    const double step = span.step(arm, k);
-    above.turn += step;
-    above.cross += step * arm.crossing[k * arm.joint_count + joint];
-  }
-  return above;
-}
-
 }  // namespace arm_detail
 
-// The arc of a body in a frame that carries it, or in the world, over a part of a segment in which the joints between
-// turn by at most `kMostTurn`, added. From the body's frame up to that one: both end poses, and the bounds.
-PGCCD_HD ArmArc arc_of_body(const Arm& arm, const ArmSpan& span, int64_t body, int32_t frame) {
-  const double reach = arm.body_reach[body];
-  const bool rests = span.begin == span.end;
-  RigidPose start{{0.0, 0.0, 0.0}, {1.0, {0.0, 0.0, 0.0}}}, end = start;
+// The arc of a body in the frame of its chain, whose joints turn by at most `kMostTurn`, added, and whose motions are
+// known; `rests`: at a single time.
+PGCCD_HD ArmArc arc_of_body(const Arm& arm, const JointChain& chain, bool rests, double reach) {
+  const RigidPose origin{{0.0, 0.0, 0.0}, {1.0, {0.0, 0.0, 0.0}}};
+  if (chain.count == 0) return {origin, origin.position, {0.0, 0.0, 0.0}, 0.0};
+  const RigidPose start = chain.motion(chain.count - 1).begin, end = chain.motion(chain.count - 1).end;
   double acceleration = 0.0, length = 0.0, speed = 0.0;  // of the origin of the body's frame
   double turn = 0.0, bend = 0.0;                         // of the body, and of its rate
   double error_length = reach, error_count = 1.0;
-  for (int32_t k = arm.body_frame[body]; k != frame; k = arm.joints[k].parent) {
-    const Joint& joint = arm.joints[k];
-    const JointPlace& place = arm.places[k];
-    const double from = span.value(arm, k, span.begin), to = span.value(arm, k, span.end);
-    const double largest = span.largest_value(arm, k);
-    error_length += place.distance + (joint.slides() ? largest : 0.0);
-    error_count += 1.0 + (joint.turns() ? largest : 0.0);
-    if (!rests && !(joint.kind == static_cast<int32_t>(JointKind::kFixed))) {
-      const double step = magnitude(to - from);
-      const arm_detail::Above above = arm_detail::joints_above(arm, span, k, frame);
-      if (joint.slides()) {
-        acceleration += 2.0 * (step * above.turn);
-        speed += step;
-        length += larger(magnitude(from), magnitude(to));
-      } else {
-        // The distance of the joint from the origin changes by at most `speed`, so it is at most halfway above both
-        // ends.
-        const double away = smaller(length, 0.5 * ((norm(start.position) + norm(end.position)) + speed));
-        acceleration += away * (step * (step + 2.0 * above.turn));
-        speed += step * away;
-        turn += step;
-        bend += step * above.cross;
-      }
+  for (int32_t n = chain.count - 1; n >= 0; --n) {
+    const Joint& joint = arm.joints[chain.frames[n]];
+    const JointMotion& motion = chain.motion(n);
+    const double distance = arm.places[chain.frames[n]].distance;
+    error_length += distance + (joint.slides() ? motion.largest : 0.0);
+    error_count += 1.0 + (joint.turns() ? motion.largest : 0.0);
+    if (joint.slides()) {
+      acceleration += 2.0 * (motion.step * motion.turn_before);
+      speed += motion.step;
+      length += motion.extent;
+    } else if (motion.step > 0.0) {
+      // The distance of the joint from the origin changes by at most `speed`, so it is at most halfway above both ends.
+      const double ends = norm(motion.begin.position - start.position) + norm(motion.end.position - end.position);
+      const double away = smaller(length, 0.5 * (ends + speed));
+      acceleration += away * (motion.step * (motion.step + 2.0 * motion.turn_before));
+      speed += motion.step * away;
+      turn += motion.step;
+      bend += motion.step * motion.cross_before;
     }
-    length += place.distance;
-    start = joint_pose(joint, place, from) * start;
-    end = rests ? start : joint_pose(joint, place, to) * end;
+    length += distance;
   }
-  double stray = arm_detail::kPoseError * (error_count * error_length);
-  if (arm.body_frame[body] == frame) stray = 0.0;
-  if (rests) return {start, start.position, {0.0, 0.0, 0.0}, stray};
+  const double error = arm_detail::kPoseError * (error_count * error_length);
+  if (rests) return {start, start.position, {0.0, 0.0, 0.0}, error};
   const double of_rotation =
       smaller((1.0 + 2.0 * arm_detail::kRate * turn + arm_detail::kAngle * (turn * turn)) * 0.125, arm_detail::kAngle);
-  stray += (0.125 * acceleration + reach * (bend * of_rotation)) * arm_detail::kBoundRounding;
-  return {start, end.position, rotation_between(start.orientation, end.orientation), stray};
+  const double bound = (0.125 * acceleration + reach * (bend * of_rotation)) * arm_detail::kBoundRounding;
+  return {start, end.position, rotation_between(start.orientation, end.orientation), bound + error};
 }
 
 // The bound holds for bodies that turn by at most so many radians in a part of a segment, the turns of all joints
@@ -163,8 +179,8 @@ PGCCD_HD double most_turn(const Arm& arm, const ArmSpan& span) {
   double most = 0.0;
   for (int64_t body = 0; body < arm.body_count; ++body) {
     double turn = 0.0;
-    for (int32_t k = arm.body_frame[body]; k != kWorld; k = arm.joints[k].parent) {
-      const int32_t coordinate = arm.joints[k].coordinate;
+    for (int32_t n = arm.chain_begin[body]; n < arm.chain_begin[body + 1]; ++n) {
+      const int32_t k = arm.chain[n], coordinate = arm.joints[k].coordinate;
       if (arm.joints[k].turns()) {
         turn += magnitude((span.to[coordinate] - span.from[coordinate]) * arm.places[k].scale);
       }

@@ -5,7 +5,7 @@
 
 #include "kernels/arms/certify.h"
 #include "kernels/arms/span_item.h"
-#include "kernels/pipeline/pipeline.h"
+#include "kernels/pipeline/one_pair.h"
 
 namespace pgccd {
 
@@ -35,27 +35,32 @@ class PathSearch {
   PathVerdict certify(const ArmPaths& paths, int64_t path, bool tells_collisions);
 
  private:
-  // The first contact of a pair over a span, and its margins for straying.
+  // Until when a pair is free over a span, infinite for all of it; and the strays of both bodies, added.
   struct Touch {
-    bool found = false;
-    double toi = 0.0, stray = 0.0;
-    Vec3<double> point{};  // in the frame of the pair
+    double toi = static_cast<double>(INFINITY), stray = 0.0;
+    PairContact contact{};  // of a fine span
   };
-  enum class Find { kFirst, kAny };
+  struct Ball {
+    Vec3<double> centre;
+    double radius;
+  };
   struct OpenSpan {
     double begin, end;
   };
 
   void place_all(const PathSpan& span);
   bool may_meet(const ArmPair& pair) const;
-  Touch touch(const ArmPair& pair, const PathSpan& span, Find find, double tolerance);
+  ArmArc arc_of_obstacle(int64_t body, const PathSpan& span) const;
+  Touch touch(const ArmPair& pair, const PathSpan& span);
+  std::optional<PairContact> contact_at_rest(const ArmPair& pair, const PathSpan& still, Report report);
   void search_span(const PathSpan& span);
   void search_pair(int64_t pair, const PathSpan& span, const Touch& met);
   void record(int64_t pair, const PathSpan& span, double at, const Touch& met);
-  bool starts_with_contact(const PathSpan& span, int64_t pair);
-  bool touches_near(int64_t segment, double toi);
-  bool any_touches(const PathSpan& still);
-  Vec3<double> to_world(int32_t frame, Vec3<double> point, const PathSpan& span, double s) const;
+  bool starts_with_contact(int64_t path, int64_t pair);
+  PathSpan witness(int k) const;
+  bool touch_behind();
+  void place_pair(const ArmPair& pair, const PathSpan& span, double& stray);
+  Vec3<double> point_of(const ArmPair& pair, const PathSpan& span, const PairContact& contact);
 
   ArmScene scene_;
   ArmPaths paths_{};
@@ -63,9 +68,14 @@ class PathSearch {
   double resolution_;
   std::vector<double> numbers_;  // of the columns below
   std::vector<int32_t> mesh_index_;
-  ArcColumns rows_{};
+  ArcColumns rows_{};  // of all bodies
+  std::vector<JointMotion> joints_;
+  std::vector<char> is_placed_;  // by joint
+  ArcRows<2> pair_{};
+  OnePairSearch one_pair_;
   BroadBodies spheres_{};
   std::vector<double> centres_;
+  std::vector<Ball> balls_;  // that contain the bodies over the span
   std::vector<std::pair<int64_t, Touch>> met_;
   std::vector<OpenSpan> open_;
   PathVerdict verdict_{};

@@ -68,38 +68,27 @@ struct PathSpan {
 };
 
 PGCCD_HD ArmSpan joints_over(const ArmPaths& paths, const Arm& arm, const PathSpan& span) {
-  const double* const from =
-      paths.waypoints + (span.path * paths.waypoint_count + span.segment) * arm.coordinate_count;
+  const double* const from = paths.waypoints + (span.path * paths.waypoint_count + span.segment) * arm.coordinate_count;
   return {from, from + arm.coordinate_count, span.begin, span.end};
 }
 
-// The arc of a body or an obstacle in a frame.
-PGCCD_HD ArmArc arc_over(const ArmScene& scene, const ArmPaths& paths, const PathSpan& span, int64_t body,
-                         int32_t frame) {
-  if (body >= scene.arm.body_count) {
-    return arc_of_obstacle(scene.obstacles, body - scene.arm.body_count, span.path, span.segment, span.begin, span.end);
-  }
-  return arc_of_body(scene.arm, joints_over(paths, scene.arm, span), body, frame);
+// Whether a contact over a span, with both bodies' strays added, is an end of the search: the pair comes within the
+// resolution there. Other spans are split.
+PGCCD_HD bool is_fine(const PathSpan& span, double stray, double resolution) {
+  return 2.0 * stray + kContactTolerance * resolution <= resolution || span.end - span.begin <= kShortestSpan;
 }
 
-// Where the search of a span goes on after its first contact at `toi` of it.
-struct AfterContact {
-  double at;  // the pair is certainly free before it
-  bool ends;  // it comes near there
-  int parts;  // else the rest is searched in so many parts
-};
+// The time of a contact at `toi` of a span: rounded down, so that it is never late. The pair is free before.
+PGCCD_HD double time_of_contact(const PathSpan& span, double toi) {
+  if (!(toi > 0.0)) return span.begin;
+  return larger((span.begin + toi * (span.end - span.begin)) * (1.0 - 0x1p-50), span.begin);
+}
 
-// `stray`: of both bodies, added.
-PGCCD_HD AfterContact after_contact(const PathSpan& span, double toi, double stray, double resolution) {
-  const double length = span.end - span.begin;
-  // Rounded down: never late. What is before has been certified.
-  AfterContact after{span.begin, false, 2};
-  if (toi > 0.0) after.at = larger((span.begin + toi * length) * (1.0 - 0x1p-50), span.begin);
-  after.ends = 2.0 * stray + kContactTolerance * resolution <= resolution || length <= kShortestSpan;
-  const double share = (span.end - after.at) / length;
-  const double wanted = std::ceil(std::sqrt(stray / (kWantedMargin * resolution)) * share);
-  after.parts = wanted > 2.0 ? static_cast<int>(smaller(wanted, static_cast<double>(kMostParts))) : 2;
-  return after;
+// The number of parts into which a span is split from a time on.
+PGCCD_HD int parts_of_rest(const PathSpan& span, double at, double stray, double resolution) {
+  const double share = (span.end - at) / (span.end - span.begin);
+  const double parts = std::ceil(std::sqrt(stray / (kWantedMargin * resolution)) * share);
+  return parts > 2.0 ? static_cast<int>(smaller(parts, static_cast<double>(kMostParts))) : 2;
 }
 
 // Edge k of a span that is divided into equal parts.

@@ -6,6 +6,7 @@
 #include <tuple>
 
 #include "kernels/pipeline/pipeline.h"
+#include "kernels/pipeline/search_order.h"
 #include "kernels/traverse/leaf_feature_item.h"
 #include "kernels/traverse/leaf_separation.h"
 
@@ -162,12 +163,6 @@ class PairSearch {
     LeafPair leaves;
     FirstFeature first;  // of their candidates, at least
   };
-
-  // Leaf pairs of a body pair in the first batch; those of most pairs fit into it.
-  static constexpr size_t kFirstBatch = 4;
-  // Leaf pairs near at t = 0 after which the first descent for any contact ends: bodies that intersect have hundreds.
-  static constexpr size_t kFewAtStart = 16;
-  static constexpr size_t kAllLeaves = std::numeric_limits<size_t>::max();
 
   // Some contact of each pair. Descents that ended early without a contact are repeated.
   ContactRows search_any() {

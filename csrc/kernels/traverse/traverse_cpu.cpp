@@ -1,9 +1,8 @@
 // Loops over lanes are only vectorised if what they call is inlined: see core/platform.h.
 #define PGCCD_INLINE_ALL
 
-#include <optional>
-
 #include "core/enclosures.h"
+#include "kernels/traverse/pair_descent.h"
 #include "kernels/traverse/support_item.h"
 #include "kernels/traverse/traverse.h"
 #include "kernels/traverse/visit_leaves_host.h"
@@ -24,26 +23,22 @@ struct Task {
 template <class Bodies>
 class PairCache {
  public:
-  using Sweep = SweepOf<Bodies>;
-
   PairCache(const Bodies& bodies, const TraverseInput& input) : bodies_(bodies), input_(input) {}
 
   PairTree<Bodies> tree(int32_t pair) {
     if (pair != current_) {
       current_ = pair;
-      sweep_.emplace(bodies_, input_.pairs[2 * pair], input_.pairs[2 * pair + 1], input_.settings,
-                     horizon_of(input_, pair));
-      for (int k = 0; k <= sweep_->last_pose(); ++k) poses_[k] = sweep_->pose(bodies_, k);
+      placed_.place(bodies_, input_.pairs[2 * pair], input_.pairs[2 * pair + 1], input_.settings,
+                    horizon_of(input_, pair));
     }
-    return {bodies_, *sweep_, poses_};
+    return placed_.tree();
   }
 
  private:
   const Bodies& bodies_;
   const TraverseInput& input_;
   int32_t current_ = -1;
-  std::optional<Sweep> sweep_;
-  LocalPose poses_[kStoredSegments + 1]{};
+  PlacedPair<Bodies> placed_;
 };
 
 // Bit s is set if child s, one of `wanted`, and the other node may meet over segment k.
@@ -258,19 +253,51 @@ void traverse(const Executor& executor, const Bodies& bodies, const TraverseInpu
   *node_tests = list.node_tests;
 }
 
+namespace {
+
+// Lists a pair of leaves if they may meet; returns whether the descent goes on.
+template <class Bodies>
+bool list_if_meeting(const PairTree<Bodies>& tree, int32_t pair, NodePair leaves, Windows windows, size_t most_at_start,
+                     std::vector<LeafPair>& out, size_t& at_start) {
+  // Folded surfaces have many leaf pairs that may meet from the start: parts save nothing.
+  const float begin = tree.sweep().is_one_body() ? 0.0f : begin_of(tree, leaves, windows);
+  if (begin != kNeverMeet) out.push_back({pair, leaves, begin});
+  if (begin == 0.0f) ++at_start;
+  return at_start < most_at_start;
+}
+
+template <class Bodies>
+void append_candidates_from(const PairTree<Bodies>& tree, const LeafPair& item, bool over_same_time,
+                            std::vector<Candidate>& out) {
+  const float begin = over_same_time && !tree.sweep().is_one_body() ? item.begin : kUnknownBegin;
+  append_candidates(tree, item.pair, item.leaves, windows_from(tree, item.begin), begin, out);
+}
+
+}  // namespace
+
+template <class Bodies>
+int64_t find_leaves_of_pair(const PairTree<Bodies>& tree, size_t most_at_start, std::vector<LeafPair>& out) {
+  size_t at_start = 0;
+  return descend(tree, {0, 0}, kAllWindows, [&](NodePair leaves, Windows windows) {
+    return list_if_meeting(tree, 0, leaves, windows, most_at_start, out, at_start);
+  });
+}
+
+template <class Bodies>
+void list_candidates_of_leaves(const PairTree<Bodies>& tree, const LeafPair& leaves, bool over_same_time,
+                               std::vector<Candidate>& out) {
+  append_candidates_from(tree, leaves, over_same_time, out);
+}
+
 template <class Bodies>
 FoundLeaves find_leaf_pairs(const Executor& executor, const Bodies& bodies, const TraverseInput& input,
                             size_t most_at_start) {
   FoundLeaves found;
-  const auto list_if_meeting = [most_at_start](const PairTree<Bodies>& tree, int32_t pair, NodePair leaves,
-                                               Windows windows, std::vector<LeafPair>& out, size_t& at_start) {
-    // Folded surfaces have many leaf pairs that may meet from the start: parts save nothing.
-    const float begin = tree.sweep().is_one_body() ? 0.0f : begin_of(tree, leaves, windows);
-    if (begin != kNeverMeet) out.push_back({pair, leaves, begin});
-    if (begin == 0.0f) ++at_start;
-    return at_start < most_at_start;
+  const auto list = [&](const PairTree<Bodies>& tree, int32_t pair, NodePair leaves, Windows windows,
+                        std::vector<LeafPair>& out, size_t& at_start) {
+    return list_if_meeting(tree, pair, leaves, windows, most_at_start, out, at_start);
   };
-  for (const auto& part : descend_all<LeafPair>(executor, bodies, input, found.node_tests, list_if_meeting)) {
+  for (const auto& part : descend_all<LeafPair>(executor, bodies, input, found.node_tests, list)) {
     found.pairs.insert(found.pairs.end(), part.begin(), part.end());
   }
   return found;
@@ -281,13 +308,14 @@ CandidateList visit_leaf_pairs(const Executor& executor, const Bodies& bodies, c
                                const std::vector<LeafPair>& leaves, bool over_same_time) {
   CandidateList list;
   const auto append = [&](const PairTree<Bodies>& tree, const LeafPair& item, std::vector<Candidate>& out) {
-    const float begin = over_same_time && !tree.sweep().is_one_body() ? item.begin : kUnknownBegin;
-    append_candidates(tree, item.pair, item.leaves, windows_from(tree, item.begin), begin, out);
+    append_candidates_from(tree, item, over_same_time, out);
   };
   list.parts = for_each_of_pairs<Candidate>(executor, bodies, input, leaves, append);
   return list;
 }
 
+template int64_t find_leaves_of_pair(const PairTree<RigidBodies>&, size_t, std::vector<LeafPair>&);
+template void list_candidates_of_leaves(const PairTree<RigidBodies>&, const LeafPair&, bool, std::vector<Candidate>&);
 template void traverse(const Executor&, const RigidBodies&, const TraverseInput&, const CandidateOutput&, int64_t*);
 template void traverse(const Executor&, const DeformingBodies&, const TraverseInput&, const CandidateOutput&, int64_t*);
 template CandidateList list_enclosures(const Executor&, const RigidBodies&, const TraverseInput&);
