@@ -71,15 +71,20 @@ struct ArmOps {
     return {position, orientation};
   }
 
-  static Tensor arm_strays(const TensorList& arm, const Tensor& q0, const Tensor& q1) {
+  static Tensor arm_strays(const TensorList& arm, const Tensor& q0, const Tensor& q1, const Tensor& begin,
+                           const Tensor& end) {
     Arm view = arm_view(arm, 0.0);
     const int64_t count = q0.size(0);
-    const double* const from = rows<double>(q0, "q0", {kAnySize, kAnySize});
+    ArmMotions motions{};
+    motions.q0 = rows<double>(q0, "q0", {kAnySize, kAnySize});
     view.coordinate_count = q0.size(1);
-    const double* const to = rows<double>(q1, "q1", {count, view.coordinate_count});
+    motions.q1 = rows<double>(q1, "q1", {count, view.coordinate_count});
+    motions.begin = rows<double>(begin, "begin", {count});
+    motions.end = rows<double>(end, "end", {count});
+    motions.count = count;
     check_arm(view, arm);
     Tensor stray = new_tensor<double>(q0, {count, view.body_count});
-    pgccd::arm_strays(Session(q0).context(), view, from, to, count, data<double>(stray));
+    pgccd::arm_strays(Session(q0).context(), view, motions, data<double>(stray));
     return stray;
   }
 

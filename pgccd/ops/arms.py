@@ -8,8 +8,8 @@ from torch import Tensor
 from pgccd.ops.library import float64, int64, operator
 
 #: joints (F, 3) int32: parent, kind (0 fixed, 1 revolute, 2 prismatic) and coordinate; places (F, 13) float64: position
-#: (3), orientation (4), axis (3), scale, offset and distance from the parent; crossing (F, F) float64; body_frame (N,)
-#: int32; body_reach (N,) float64.
+#: (3), orientation (4), axis (3), scale, offset and distance from the parent; crossing (F, F) float64; chain_begin
+#: (N + 1,) int32 and chain (., ) int32: the frames from the base to that of each body; body_reach (N,) float64.
 Arm = Sequence[Tensor]
 
 
@@ -21,9 +21,10 @@ def arm_poses(arm: Arm, q: Tensor) -> tuple[Tensor, Tensor]:
 
 
 @operator
-def arm_strays(arm: Arm, q0: Tensor, q1: Tensor) -> Tensor:
-    """(K, N): how far points of bodies stray, at most, from the arcs between their poses in configurations q0 and q1
-    (K, J), rounding of poses included; all joints of a chain turn by at most 1 rad, added.
+def arm_strays(arm: Arm, q0: Tensor, q1: Tensor, begin: Tensor, end: Tensor) -> Tensor:
+    """(K, N): how far points of bodies stray, at most, from the arcs between their poses at times `begin` and `end`
+    (K,), while joints move from q0 to q1 (K, J) at constant rates; rounding of poses included. Joints of a chain turn
+    by at most 1 rad between, added. If both times are equal: the error of the poses.
     """
     return float64(q0, q0.shape[0], arm[3].shape[0] - 1)
 
@@ -44,8 +45,9 @@ def certify_paths(
     counts (B, 4) int64: of parts of segments, of body pairs over such parts, of node tests and of feature pairs.
 
     bodies: mesh_index (N + M,) int32, radius and margin (N + M,) of N bodies and M obstacles, pairs (P, 3) int32: two
-    bodies, and the frame that carries both or -1. obstacles: position_t0, position_t1 (R, M, 3), orientation
-    (R, M, 4), rotation (R, M, 3), error (M,); a row is a path, or, if they move, a segment; or there is one for all.
+    bodies, and the number of frames that both their chains begin with. obstacles: position_t0, position_t1 (R, M, 3),
+    orientation (R, M, 4), rotation (R, M, 3), error (M,); a row is a path, or, if they move, a segment; or there is one
+    for all.
     """
     count = waypoints.shape[0]
     return (

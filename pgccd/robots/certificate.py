@@ -54,8 +54,7 @@ class Certificate(Rows):
         obstacle_names: names of the obstacles.
         untested: `Robot.untested`: pairs of links, and of links and obstacles, of which nothing is said. Those that
             samples left out are counted in the `repr`, since they may touch in other configurations.
-        steps: number of steps that were tested, the segments and the parts into which they were split.
-        searches: number of calls of `pgccd.detect` in sequence.
+        steps: number of parts of segments over which pairs of bodies were tested, added for all pairs.
 
     Example:
         >>> result = robot.certify(torch.zeros(1, 2, robot.joint_count))
@@ -73,7 +72,6 @@ class Certificate(Rows):
     obstacle_names: list[str] = field(default_factory=list)
     untested: list[tuple[str, str, str]] = field(default_factory=list)
     steps: int = 0
-    searches: int = 0
 
     _names: ClassVar[tuple[str, ...]] = ("verdict", "time", "segment", "toi", "links", "point")
     _forms: ClassVar[Mapping[str, Form]] = {
@@ -103,7 +101,7 @@ class Certificate(Rows):
             >>> result = robot.certify(torch.zeros(1, 2, robot.joint_count))
             >>> again = pgccd.robots.Certificate.from_state_dict(result.state_dict(), robot)
         """
-        return cls(**cls._columns_of(state), **_names(robot, obstacles))
+        return cls(**cls._columns_of(state), **names_of(robot, obstacles))
 
     def _followed_by(self, others: Sequence[Certificate]) -> Certificate:
         names = max((each.obstacle_names for each in (self, *others)), key=len)
@@ -112,27 +110,8 @@ class Certificate(Rows):
                 raise ValueError(f"results[{k}]: is of another robot than the first one")
             if each.obstacle_names != names[: len(each.obstacle_names)]:
                 raise ValueError(f"results[{k}]: is of obstacles with other names than {names}")
-        counts = {name: sum(getattr(each, name) for each in (self, *others)) for name in ("steps", "searches")}
-        return replace(super()._followed_by(others), obstacle_names=names, **counts)
-
-    @classmethod
-    def _without_contact(
-        cls, environments: int, robot: Robot, obstacles: Obstacles | None, device: torch.device
-    ) -> Certificate:
-        """A result in which nothing has been found, to be filled by the search before it is returned."""
-
-        def filled(value: float, *shape: int, dtype: torch.dtype = torch.float64) -> Tensor:
-            return torch.full((environments, *shape), value, dtype=dtype, device=device)
-
-        return cls(
-            verdict=filled(Verdict.FREE, dtype=torch.int8),
-            time=filled(torch.inf),
-            segment=filled(-1, dtype=torch.int64),
-            toi=filled(torch.inf),
-            links=filled(len(robot.link_names), 2, dtype=torch.int64),
-            point=filled(torch.nan, 3),
-            **_names(robot, obstacles),
-        )
+        steps = sum(each.steps for each in (self, *others))
+        return replace(super()._followed_by(others), obstacle_names=names, steps=steps)
 
     @property
     def free(self) -> Tensor:
@@ -167,7 +146,7 @@ class Certificate(Rows):
         return f"Certificate({', '.join([f'environments={len(self)}', *counts])})"
 
 
-def _names(robot: Robot, obstacles: Obstacles | None) -> dict[str, Any]:
+def names_of(robot: Robot, obstacles: Obstacles | None) -> dict[str, Any]:
     """What a certificate says of the names of links and obstacles."""
     names = [] if obstacles is None else obstacles.names
     return {"link_names": robot.link_names, "obstacle_names": names, "untested": robot.untested}

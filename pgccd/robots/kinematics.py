@@ -1,26 +1,19 @@
-"""Kinematic trees: poses of the frames of a robot from its joint values, for many configurations at once."""
+"""Kinematic trees: joints, and the frames that they move."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal, TypeAlias
+from typing import Literal
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from pgccd.motion import differentiable
-from pgccd.motion.differentiable import any_differentiated, with_gradient_of
-from pgccd.motion.rotation import rotated
 
 JointKind = Literal["fixed", "revolute", "prismatic"]
-# Of K configurations, (K,), or of all of them a number. One arithmetic for all of these has one result.
-Component: TypeAlias = Tensor | np.ndarray | float
-Components: TypeAlias = tuple[Any, ...]
-# So many configurations are faster in NumPy.
-_FEW = 64
 
 
 @dataclass(frozen=True)
@@ -49,27 +42,6 @@ class Joint:
 
 
 @dataclass(frozen=True)
-class Poses:
-    """Poses of all frames in K configurations.
-
-    Attributes:
-        position, orientation: (F, K, 3) and (F, K, 4).
-        value: (F, K) of the joints, radians or length units; zero for fixed ones.
-    """
-
-    position: Tensor
-    orientation: Tensor
-    value: Tensor
-
-    def split(self, count: int) -> tuple[Poses, Poses]:
-        """Those of the first configurations, and of the others."""
-        first, second = (
-            Poses(*(column[:, rows] for column in vars(self).values())) for rows in (slice(count), slice(count, None))
-        )
-        return first, second
-
-
-@dataclass(frozen=True)
 class Tree:
     """Joints in an order in which parents come first; the first one is fixed, and places the base in the world.
 
@@ -79,73 +51,27 @@ class Tree:
 
     joints: Sequence[Joint]
 
-    def forward(self, q: Tensor) -> Poses:
-        """Poses of all frames. Only operations that round alike on every device.
-
-        Args:
-            q: (K, J) float64 configurations; with gradients, if they require grad.
+    def expressions(self, q: Tensor) -> list[tuple[Tensor, Tensor]]:
+        """By frame its position (K, 3) and orientation (K, 4) in configurations (K, J), as expressions of torch, for
+        gradients. The operators have values with equal bits on every device.
         """
-        if q.device.type == "cpu" and len(q) <= _FEW and not any_differentiated(q):
-            return self._forward_of_few(q)
-        count = len(q)
-        position, orientation, value = self._components(q.unbind(1), _integrated)
-
-        def stacked(rows: Sequence[Components]) -> Tensor:
-            return torch.stack([_joined(row, count, q) for row in rows])
-
-        return Poses(stacked(position), stacked(orientation), stacked([(own,) for own in value])[..., 0])
-
-    def _forward_of_few(self, q: Tensor) -> Poses:
-        """As `forward`, in NumPy, whose calls are shorter: with few configurations they are all the time."""
-        count, frames = len(q), len(self.joints)
-        position, orientation = np.empty((frames, 3, count)), np.empty((frames, 4, count))
-        value = np.empty((frames, count))
-        # Components may be numbers, which fill their rows.
-        for frame, (at, turn, own) in enumerate(zip(*self._components(q.numpy().T, _integrated_few), strict=True)):
-            for row, component in zip((*position[frame], *orientation[frame]), (*at, *turn), strict=True):
-                row[...] = component
-            value[frame] = own
-        x, r, v = (torch.from_numpy(column) for column in (position, orientation, value))
-        return Poses(x.transpose(1, 2).contiguous(), r.transpose(1, 2).contiguous(), v)
-
-    def _components(
-        self, q: Sequence[Any] | np.ndarray, integrated: Callable[[Components, Components, Any], Components]
-    ) -> tuple[list[Components], list[Components], list[Component]]:
-        """By frame the components of its position and orientation, and the value of its joint.
-
-        Args:
-            q: (K,) of each joint.
-            integrated: orientation after a rotation vector; also given an entry of q.
-        """
-        position: list[Components] = []
-        orientation: list[Components] = []
-        value: list[Component] = []
-        for joint, (at, turn, axis) in zip(self.joints, self._constants, strict=True):
-            if joint.parent >= 0:
-                of_parent = orientation[joint.parent]
-                offset = _rotate(of_parent, at)
-                at = tuple(x + dx for x, dx in zip(position[joint.parent], offset, strict=True))
-                turn = _multiply(of_parent, turn)
-            own: Component = 0.0
+        found: list[tuple[Tensor, Tensor]] = []
+        for joint in self.joints:
+            at, turn, axis = (
+                q.new_tensor(of).expand(len(q), -1) for of in (joint.position, joint.orientation, joint.axis)
+            )
             if joint.kind != "fixed":
-                own = q[joint.coordinate] * joint.scale + joint.offset
-                along = tuple(own * component for component in _rotate(turn, axis))
+                along = (joint.scale * q[:, joint.coordinate] + joint.offset)[:, None] * axis
                 if joint.kind == "revolute":
-                    turn = integrated(turn, along, own)
+                    turn = differentiable.product(turn, differentiable.quaternion_of(along))
                 else:
-                    at = tuple(x + dx for x, dx in zip(at, along, strict=True))
-            position.append(at)
-            orientation.append(turn)
-            value.append(own)
-        return position, orientation, value
-
-    @cached_property
-    def _constants(self) -> list[tuple[Components, Components, Components]]:
-        """Position, orientation and axis of each joint."""
-        return [
-            tuple(tuple(map(float, of)) for of in (joint.position, joint.orientation, joint.axis))  # type: ignore[misc]
-            for joint in self.joints
-        ]
+                    at = at + differentiable.oriented(along, turn)
+            if joint.parent >= 0:
+                position, orientation = found[joint.parent]
+                at = position + differentiable.oriented(at, orientation)
+                turn = differentiable.product(orientation, turn)
+            found.append((at, turn))
+        return found
 
     @cached_property
     def distances(self) -> list[float]:
@@ -186,56 +112,17 @@ class Tree:
         return float(np.arctan2(np.linalg.norm(np.cross(own, axis)), abs(own @ axis)))
 
 
-def _joined(components: Components, count: int, like: Tensor) -> Tensor:
-    """(K, n), of tensors (K,) or numbers."""
-    columns = [c if isinstance(c, Tensor) else like.new_full((count,), c) for c in components]
-    return torch.stack(columns, dim=1)
-
-
-def _integrated(turn: Components, rotation: Components, like: Tensor) -> Components:
-    """As `integrate_orientation`, with gradients."""
-    orientation, vector = _joined(turn, len(like), like), _joined(rotation, len(like), like)
-    if not any_differentiated(orientation, vector):
-        return rotated(orientation, vector).unbind(1)
-    value = rotated(orientation.detach(), vector.detach())
-    unit = orientation / orientation.norm(dim=-1, keepdim=True)
-    expression = differentiable.product(differentiable.quaternion_of(vector), unit)
-    return with_gradient_of(value, expression, "orientation").unbind(1)
-
-
-def _integrated_few(turn: Components, rotation: Components, like: np.ndarray) -> Components:
-    """As `_integrated`, of arrays (K,) and without gradients."""
-    columns = np.empty((7, len(like)))
-    for row, component in zip(columns, (*turn, *rotation), strict=True):
-        row[...] = component
-    both = torch.from_numpy(columns)
-    return tuple(rotated(both[:4].T, both[4:].T).numpy().T)
-
-
-def _rotate(q: Components, v: Components) -> Components:
-    """A vector rotated by a unit quaternion."""
-    w, x, y, z = q
-    a, b, c = v
-    # Twice the cross product of the vector part and v.
-    d, e, f = (2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a))
-    return a + w * d + (y * f - z * e), b + w * e + (z * d - x * f), c + w * f + (x * e - y * d)
-
-
-def _multiply(p: Components, q: Components) -> Components:
-    """The product of two quaternions: first q, then p."""
-    a, b, c, d = p
-    w, x, y, z = q
-    return (
+def multiply(p: Tensor, q: Tensor) -> Tensor:
+    """Products of quaternions (K, 4): first q, then p. Bits are equal on all devices."""
+    a, b, c, d = p.unbind(1)
+    w, x, y, z = q.unbind(1)
+    rows = (
         a * w - b * x - c * y - d * z,
         a * x + b * w + c * z - d * y,
         a * y - b * z + c * w + d * x,
         a * z + b * y - c * x + d * w,
     )
-
-
-def multiply(p: Tensor, q: Tensor) -> Tensor:
-    """Products of quaternions (K, 4): first q, then p."""
-    return torch.stack(_multiply(p.unbind(1), q.unbind(1)), dim=1)
+    return torch.stack(rows, dim=1)
 
 
 def quaternion_of(matrix: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from pgccd import arguments, ops
+from pgccd import arguments
 from pgccd.geometry.mesh import Mesh
 from pgccd.geometry.scene_columns import integer_column, margin_column, require_meshes
 from pgccd.motion.paths import RigidMotion
@@ -132,31 +132,15 @@ class Obstacles:
         turn = ((length - 1.0).abs() <= UNIT_TOLERANCE).all(dim=-1)
         return (at & turn).expand(environments)
 
-    def _added_to(
-        self, position: Tensor, orientation: Tensor, environment: Tensor, segment: Tensor, s: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        """Poses (K, N, 3) and (K, N, 4) of a robot's bodies, followed by those of the obstacles, in K environments (K,)
-        at times s (K,) of segments (K,).
-        """
-        both = []
-        found = (self.position, self.orientation) if self.motion is None else self._at(segment, s)
-        for of_robot, own in zip((position, orientation), found, strict=True):
-            own = own.to(of_robot.device)
-            if self.motion is None:
-                own = own[environment] if own.dim() == 3 else own.expand(len(of_robot), *own.shape)
-            both.append(torch.cat([of_robot, own], dim=1))
-        return both[0], both[1]
-
-    def _at(self, segment: Tensor, s: Tensor) -> tuple[Tensor, Tensor]:
-        """(K, M, 3) and (K, M, 4): poses of moving obstacles."""
-        x0, x1, r0, rotation = (column.to(s.device)[segment].flatten(0, 1) for column in self._segments)
-        found = ops.poses_at(x0, x1, r0, rotation, s.repeat_interleave(self.count))
-        x, r = (column.view(len(s), self.count, -1) for column in found)
-        return x, r
-
-    def _rotation(self, segment: Tensor, length: Tensor) -> Tensor:
-        """(K, M, 3): rotation vectors of moving obstacles in parts of these lengths (K,) of segments (K,)."""
-        return self._segments[3].to(length.device)[segment] * length[:, None, None]
+    def columns(self) -> list[Tensor]:
+        """The operators' argument `obstacles`: of each environment, or of each segment of `motion`."""
+        if self.motion is not None:
+            return [*self._segments, self._error]
+        rows = 1 if self.environments is None else self.environments
+        position, orientation = (
+            column.expand(rows, *column.shape[-2:]).contiguous() for column in (self.position, self.orientation)
+        )
+        return [position, position, orientation, torch.zeros_like(position), self._error]
 
     def __repr__(self) -> str:
         moving = "" if self.motion is None else f", moving={int(self.moves.sum())}"

@@ -12,17 +12,17 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pgccd import arguments
+from pgccd import arguments, ops
 from pgccd.geometry.mesh import Mesh
 from pgccd.geometry.scene import Scene
 from pgccd.motion.of_scene import repeated
 from pgccd.motion.paths import RigidMotion
 from pgccd.motion.trajectory import Trajectory
 from pgccd.robots.attached import Attached
-from pgccd.robots.kinematics import Joint, Poses, Tree
+from pgccd.robots.kinematics import Joint, Tree
 from pgccd.robots.obstacles import Obstacles
 from pgccd.robots.shapes import PLANE, ThickSurface, joined
-from pgccd.robots.stray import LONGEST_TURN, MOST_TURN, Chains, pose_error, stray_bound, turns
+from pgccd.robots.tables import LARGEST_VALUE, LONGEST_TURN, MOST_TURN, ArmTables
 from pgccd.robots.untested import LeftOut, WhyUntested, sorted_pairs
 from pgccd.search.detect import collide
 
@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from pgccd.robots.certificate import Certificate
     from pgccd.robots.validator import MotionValidator
 
-#: Larger values of joints, radians or length units, have no poses.
-LARGEST_VALUE = 1e6
 #: Name, frame and surfaces, in the frame, of a link.
 Link = tuple[str, int, Sequence[ThickSurface]]
 # Configurations tested in one call.
@@ -129,8 +127,7 @@ class Robot:
         self.meshes = meshes
         self.body_link = torch.tensor(owners)
         self._frames = frames
-        self._extents = [mesh.reach for mesh in meshes]
-        self._chains: dict[torch.device, Chains] = {}
+        self._tables = ArmTables(tree, frames, [mesh.reach for mesh in meshes])
         chains = [tree.chains[frame] for frame in frames]
         self.moves = torch.tensor([any(tree.joints[k].kind != "fixed" for k in chain) for chain in chains])
         self._groups = groups
@@ -385,17 +382,11 @@ class Robot:
             >>> position, orientation = robot.poses(torch.zeros(robot.joint_count))
         """
         q = self._configurations(q, "q")
-        found = self._tree.forward(q.reshape(math.prod(q.shape[:-1]), self.joint_count))
+        x, r = self._tables.poses(q.reshape(math.prod(q.shape[:-1]), self.joint_count))
         shape = (*q.shape[:-1], self.body_count)
-        x, r = self._of_bodies(found)
         if np.isfinite(self._room):
             x = torch.where(self._may_leave(q).reshape(-1, 1, 1), torch.nan, x)
         return x.reshape(*shape, 3), r.reshape(*shape, 4)
-
-    def _of_bodies(self, poses: Poses) -> tuple[Tensor, Tensor]:
-        """(K, N, 3) and (K, N, 4)."""
-        x, r = (of[self._frames].transpose(0, 1) for of in (poses.position, poses.orientation))
-        return x, r
 
     def _configurations(self, q: Tensor, name: str) -> Tensor:
         q = arguments.real_tensor(q, name)
@@ -489,41 +480,26 @@ class Robot:
             waypoint = int(leaves.long().argmax())
             expected = f"joints that slide by at most {self._room:g}, added, since the robot has an infinite plane"
             raise ValueError(f"q: waypoint {waypoint}: expected {expected}, got {q[waypoint].tolist()}")
-        turn = turns(self._chains_on(q.device), q[1:] - q[:-1])
+        turn = self._tables.turns(q[1:] - q[:-1])
         if not bool((turn <= LONGEST_TURN).all()):
             segment = int((~(turn <= LONGEST_TURN)).long().argmax())
             expected = f"turns of at most {LONGEST_TURN:g} rad, all joints added"
             raise ValueError(f"q: segment {segment}: expected {expected}, got {float(turn[segment]):.3g}")
         parts = max(1, math.ceil(float(turn.max()) / (0.99 * MOST_TURN)))  # less, for the rounding of what is between
-        size = torch.maximum(q[:-1].abs(), q[1:].abs())  # rounding of what is between grows with both ends
-        s = q.new_tensor([k / parts for k in range(parts)])[:, None]  # torch divides otherwise on a GPU
-        q = torch.cat([(q[:-1, None] + s * (q[1:] - q[:-1])[:, None]).flatten(0, 1), q[-1:]])
-        poses = self._tree.forward(q)
-        before, after = (
-            Poses(*(column[:, rows] for column in vars(poses).values())) for rows in (slice(None, -1), slice(1, None))
-        )
-        margin = self._stray(before, after, size.repeat_interleave(parts, dim=0))
-        x, r = self._of_bodies(poses)
+        s = q.new_tensor([k / parts for k in range(parts + 1)])  # torch divides otherwise on a GPU
+        edges = [s[k : k + parts].repeat(len(q) - 1) for k in (0, 1)]
+        ends = [ends.repeat_interleave(parts, dim=0) for ends in (q[:-1], q[1:])]
+        margin = ops.arm_strays(self._tables.on(q.device), *ends, *edges)
+        x, r = self._tables.poses(torch.cat([ends[0] + edges[0][:, None] * (ends[1] - ends[0]), q[-1:]]))
         if obstacles is not None:
             if obstacles.environments is not None or obstacles.motion is not None:
                 raise ValueError(f"obstacles: expected obstacles with one pose each, got {obstacles}")
-            zero = torch.zeros(len(q), dtype=torch.int64)
-            x, r = obstacles._added_to(x, r, zero, zero, zero)
+            x, r = (
+                torch.cat([own, of_all.to(own.device).expand(len(own), -1, -1)], dim=1)
+                for own, of_all in ((x, obstacles.position), (r, obstacles.orientation))
+            )
             margin = torch.cat([margin, margin.new_zeros(len(margin), obstacles.count)], dim=1)
         return Trajectory(x, r, margin=margin)
-
-    def _stray(self, start: Poses, end: Poses | None, q: Tensor) -> Tensor:
-        """(K, N): how far the bodies stray from the arcs that are tested, rounding included; without an end they are at
-        rest. q: (K, J) magnitudes.
-        """
-        chains = self._chains_on(q.device)
-        error = pose_error(chains, q)
-        return error if end is None else stray_bound(chains, start, end) + error
-
-    def _chains_on(self, device: torch.device) -> Chains:
-        if device not in self._chains:
-            self._chains[device] = Chains(self._tree, self._frames, self._extents, device)
-        return self._chains[device]
 
     def certify(self, q: Tensor, obstacles: Obstacles | None = None, *, resolution: float | None = None) -> Certificate:
         """Whether paths are free of contact, between waypoints too.

@@ -232,7 +232,14 @@ def state(robot: Robot) -> dict[str, Any]:
     }
     tensors = {name: getattr(robot, name).tolist() for name in ("lower", "upper", "body_link", "moves", "exclude")}
     return (
-        plain | tensors | {"repr": repr(robot), "frames": robot._frames, "extents": robot._extents, "room": robot._room}
+        plain
+        | tensors
+        | {
+            "repr": repr(robot),
+            "frames": robot._frames,
+            "extents": [mesh.reach for mesh in robot.meshes],
+            "room": robot._room,
+        }
     )
 
 

@@ -14,7 +14,7 @@ from support.arms import UPRIGHT, beams, loaded, random_arm
 from support.cases import mostly_slow
 
 import pgccd
-from pgccd.robots import Obstacles, Robot, Verdict, path_search
+from pgccd.robots import Obstacles, Robot, Verdict
 from pgccd.robots.kinematics import quaternion_of
 from robots.test_path_search import same, untested
 
@@ -217,65 +217,6 @@ def test_obstacles_that_do_not_move_after_all(tmp_path: Path) -> None:
     a, b = robot.certify(q, moving), robot.certify(q, Obstacles(sweep.obstacles.meshes, x[0], r[0]))
     assert a.verdict.tolist() == b.verdict.tolist() and not bool(moving.moves.any())
     torch.testing.assert_close(a.time, b.time, rtol=0.0, atol=1e-9)
-
-
-def test_rounding_of_poses_between_waypoints() -> None:
-    """Points are nearer to their exact places than the margin for that, at both ends of a part and within it."""
-    rng = np.random.default_rng(5)
-    for size, turn in ((1.0, 1.0), (1e6, 0.1), (1.0, 1e3), (1e-3, 30.0)):
-        sweep = Sweep(rng, 20, 3, size, 2.0 * size, turn)
-        most = sweep.obstacles._error.numpy()
-        for segment in range(3):
-            for begin, end in ((0.0, 1.0), (0.3, 0.30001), (0.123, 0.987)):
-                at = torch.tensor([segment])
-                x, r = (each[0] for each in sweep.obstacles._at(at, torch.tensor([begin], dtype=torch.float64)))
-                x1, _ = sweep.obstacles._at(at, torch.tensor([end], dtype=torch.float64))
-                rotation = sweep.obstacles._rotation(at, torch.tensor([end - begin], dtype=torch.float64))[0]
-                part = pgccd.RigidMotion.from_rotation(x, r, x1[0], rotation)
-                for within in (0.0, 0.37, 1.0):
-                    found_x, found_r = part.at(within)
-                    s = np.longdouble(begin) + within * (np.longdouble(end) - np.longdouble(begin))
-                    for m in range(20):
-                        exact_x, exact_r = exact(sweep, segment, m, s)
-                        turned = exactly_turned(found_r[m].numpy().astype(np.longdouble), sweep.half[m])
-                        away = found_x[m].numpy() + turned - (exact_x + exactly_turned(exact_r, sweep.half[m]))
-                        assert float(np.sqrt((away * away).sum())) <= most[m]
-
-
-def test_margins_have_that_rounding(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """In every step and configuration that is tested, besides the margins that are given."""
-    robot = loaded(Arm([Part("revolute", UPRIGHT, UPRIGHT, (0, 0, 1), half=(0.1, 0.1, 0.1))]), tmp_path)
-    found: list[torch.Tensor] = []
-
-    def detect(scene: pgccd.Scene, *given: Any, **more: Any) -> pgccd.Contacts:
-        assert scene.margin is not None
-        found.append(scene.margin.view(-1, 2)[:, 1])
-        return pgccd.detect(scene, *given, **more)
-
-    monkeypatch.setattr(path_search, "detect", detect)
-    for margin in (0.0, 0.25):
-        found.clear()
-        obstacles = Obstacles([CUBE], motion=along(1e6, 0.0), margin=margin)
-        assert robot.certify(rest(robot), obstacles).verdict.tolist() == [int(Verdict.COLLISION)]
-        least = margin + 2.0**-46 * 1e6
-        assert len(found) >= 2 and all(bool(((m > least) & (m < least + 1e-12 + 1e-3 * least)).all()) for m in found)
-
-
-def exact(sweep: Sweep, segment: int, m: int, s: np.longdouble) -> tuple[np.ndarray, np.ndarray]:
-    """Position and orientation on the path, from the waypoint before, in long double."""
-    assert sweep.motion.orientation is not None and sweep.motion.rotation is not None
-    begin, end = (sweep.motion.position[segment + k, m].numpy().astype(np.longdouble) for k in (0, 1))
-    q = sweep.motion.orientation[segment, m].numpy().astype(np.longdouble)
-    w = sweep.motion.rotation[segment, m].numpy().astype(np.longdouble) * s
-    angle = np.sqrt((w * w).sum())
-    a, v = np.cos(angle / 2), w * (np.sin(angle / 2) / angle if angle else np.longdouble(0.5))
-    q = q / np.sqrt((q * q).sum())
-    return begin + s * (end - begin), np.array([a * q[0] - v @ q[1:], *(a * q[1:] + q[0] * v + np.cross(v, q[1:]))])
-
-
-def exactly_turned(q: np.ndarray, v: np.ndarray) -> np.ndarray:
-    twice = 2 * np.cross(q[1:], v)
-    return v + q[0] * twice + np.cross(q[1:], twice)
 
 
 def test_what_cannot_move(tmp_path: Path) -> None:

@@ -10,8 +10,7 @@ import torch
 from oracle.arms import Arm, Part
 
 import pgccd
-from pgccd import robots
-from pgccd.robots.stray import Chains
+from pgccd import ops, robots
 
 UPRIGHT = (0.0, 0.0, 0.0)
 
@@ -24,8 +23,18 @@ def loaded(arm: Arm, folder: Path) -> robots.Robot:
     return pgccd.robots.load_urdf(path)
 
 
-def chains_of(robot: robots.Robot) -> Chains:
-    return robot._chains_on(torch.device("cpu"))
+def pose_error(robot: robots.Robot, q: np.ndarray) -> np.ndarray:
+    """(K, N): the bound of the error of poses in configurations (K, J)."""
+    return stray(robot, q, q, 0.0, 0.0)
+
+
+def stray(robot: robots.Robot, q0: np.ndarray, q1: np.ndarray, begin: float = 0.0, end: float = 1.0) -> np.ndarray:
+    """(K, N): the bound of how far bodies stray, from one time to another while joints move from q0 to q1 (K, J), the
+    error of poses included.
+    """
+    times = (torch.full((len(q0),), s, dtype=torch.float64) for s in (begin, end))
+    ends = (torch.tensor(q, dtype=torch.float64) for q in (q0, q1))
+    return ops.arm_strays(robot._tables.on(torch.device("cpu")), *ends, *times).numpy()
 
 
 def beams(joints: int = 4, length: float = 0.4) -> Arm:

@@ -41,15 +41,13 @@ void arm_poses(const Executor& executor, const Arm& arm, const double* q, int64_
       });
 }
 
-void arm_strays(const Executor& executor, const Arm& arm, const double* q0, const double* q1, int64_t count,
-                double* stray) {
-  for_each_body(
-      executor, arm, count,
-      [&](int64_t k) {
-        const int64_t first = k * arm.coordinate_count;
-        return ArmSpan{q0 + first, q1 + first, 0.0, 1.0};
-      },
-      [&](int64_t row, const ArmArc& arc) { stray[row] = arc.stray; });
+void arm_strays(const Executor& executor, const Arm& arm, const ArmMotions& motions, double* stray) {
+  const auto span_of = [&](int64_t k) {
+    const int64_t first = k * arm.coordinate_count;
+    return ArmSpan{motions.q0 + first, motions.q1 + first, motions.begin[k], motions.end[k]};
+  };
+  for_each_body(executor, arm, motions.count, span_of,
+                [&](int64_t row, const ArmArc& arc) { stray[row] = arc.stray; });
 }
 
 }  // namespace pgccd
