@@ -1,6 +1,7 @@
 // The operators on a CUDA device.
 #if defined(PGCCD_WITH_CUDA)
 
+#include "bind/arm_ops.h"
 #include "bind/contact_ops.h"
 #include "bind/cuda_session.h"
 #include "bind/detect_ops.h"
@@ -16,6 +17,7 @@
 namespace pgccd::bind {
 
 STABLE_TORCH_LIBRARY_IMPL(pgccd, CUDA, library) {
+  register_arm_ops<CudaSession>(library);
   register_contact_ops<CudaSession>(library);
   register_detect_ops<CudaSession>(library);
   register_distance_ops<CudaSession>(library);

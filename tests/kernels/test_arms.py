@@ -15,7 +15,7 @@ PROGRAM = """
 #include <cstdio>
 #include <limits>
 #include <random>
-#include "kernels/arms/path_search.h"
+#include "kernels/arms/path_search_item.h"
 
 using namespace pgccd;
 

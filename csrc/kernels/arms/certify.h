@@ -4,6 +4,7 @@
 #include <cstdint>
 
 #include "kernels/arms/arm.h"
+#include "kernels/device_context.h"
 #include "kernels/executor.h"
 
 namespace pgccd {
@@ -25,6 +26,9 @@ struct PathVerdicts {
 
 // `resolution`: paths on which two bodies come as near as this may be reported as not free.
 void certify(const Executor& executor, const ArmScene& scene, const ArmPaths& paths, double resolution,
+             const PathVerdicts& out);
+// One launch, in memory for the warps that the device holds. A search whose stack does not suffice is undecided.
+void certify(const DeviceContext& context, const ArmScene& scene, const ArmPaths& paths, double resolution,
              const PathVerdicts& out);
 
 }  // namespace pgccd

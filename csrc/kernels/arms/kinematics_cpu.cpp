@@ -1,8 +1,6 @@
 #include <vector>
 
 #include "kernels/arms/kinematics.h"
-#include "kernels/arms/kinematics_item.h"
-
 namespace pgccd {
 namespace {
 
@@ -24,30 +22,22 @@ void for_each_body(const Executor& executor, const Arm& arm, int64_t count, Span
   });
 }
 
-ArmSpan configuration(const Arm& arm, const double* q, int64_t k) {
-  const double* const own = q + k * arm.coordinate_count;
-  return {own, own, 0.0, 0.0};
-}
-
 }  // namespace
 
 void arm_poses(const Executor& executor, const Arm& arm, const double* q, int64_t count, const ArmPoses& out) {
   for_each_body(
-      executor, arm, count, [&](int64_t k) { return configuration(arm, q, k); },
-      [&](int64_t row, const ArmArc& arc) {
-        store_vec3(out.position + 3 * row, arc.start.position);
-        out.orientation[4 * row] = arc.start.orientation.w;
-        store_vec3(out.orientation + 4 * row + 1, arc.start.orientation.v);
-      });
+      executor, arm, count,
+      [&](int64_t k) {
+        const double* const own = q + k * arm.coordinate_count;
+        return ArmSpan{own, own, 0.0, 0.0};
+      },
+      [&](int64_t row, const ArmArc& arc) { store_pose(out, row, arc.start); });
 }
 
 void arm_strays(const Executor& executor, const Arm& arm, const ArmMotions& motions, double* stray) {
-  const auto span_of = [&](int64_t k) {
-    const int64_t first = k * arm.coordinate_count;
-    return ArmSpan{motions.q0 + first, motions.q1 + first, motions.begin[k], motions.end[k]};
-  };
-  for_each_body(executor, arm, motions.count, span_of,
-                [&](int64_t row, const ArmArc& arc) { stray[row] = arc.stray; });
+  for_each_body(
+      executor, arm, motions.count, [&](int64_t k) { return motions.span(k, arm.coordinate_count); },
+      [&](int64_t row, const ArmArc& arc) { stray[row] = arc.stray; });
 }
 
 }  // namespace pgccd

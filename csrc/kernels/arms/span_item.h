@@ -102,28 +102,27 @@ PGCCD_HD int64_t first_parts(const Arm& arm, const ArmSpan& segment) {
   return static_cast<int64_t>(larger(std::ceil(most_turn(arm, segment) / (0.99 * kMostTurn)), 1.0));
 }
 
-// Whether the poses of a path are computed with the proven bounds, those of obstacles included.
-PGCCD_HD bool is_sound_path(const ArmScene& scene, const ArmPaths& paths, int64_t path) {
-  const Arm& arm = scene.arm;
-  for (int64_t waypoint = 0; waypoint < paths.waypoint_count; ++waypoint) {
-    const double* const q = paths.waypoints + (path * paths.waypoint_count + waypoint) * arm.coordinate_count;
-    for (int64_t k = 0; k < arm.coordinate_count; ++k) {
-      if (!(magnitude(q[k]) <= kLargestJointValue)) return false;
-    }
-    double slides = 0.0;
-    for (int32_t k = 0; k < arm.joint_count; ++k) {
-      const int32_t coordinate = arm.joints[k].coordinate;
-      if (coordinate < 0) continue;
-      const JointPlace& place = arm.places[k];
-      if (!(magnitude(q[coordinate]) * magnitude(place.scale) + magnitude(place.offset) <= kLargestJointValue)) {
-        return false;
-      }
-      if (arm.joints[k].slides()) slides += magnitude(value_of(place, q[coordinate]));
-    }
-    if (slides > arm.room) return false;
-    if (waypoint > 0 && !(most_turn(arm, {q - arm.coordinate_count, q, 0.0, 1.0}) <= kLongestTurn)) return false;
+// Whether poses at a waypoint, and between it and the one before, are computed with the proven bounds.
+PGCCD_HD bool is_sound_waypoint(const Arm& arm, const ArmPaths& paths, int64_t path, int64_t waypoint) {
+  const double* const q = paths.waypoints + (path * paths.waypoint_count + waypoint) * arm.coordinate_count;
+  for (int64_t k = 0; k < arm.coordinate_count; ++k) {
+    if (!(magnitude(q[k]) <= kLargestJointValue)) return false;
   }
-  const ArmObstacles& obstacles = scene.obstacles;
+  double slides = 0.0;
+  for (int64_t k = 0; k < arm.joint_count; ++k) {
+    const int32_t coordinate = arm.joints[k].coordinate;
+    if (coordinate < 0) continue;
+    const JointPlace& place = arm.places[k];
+    const double largest = magnitude(q[coordinate]) * magnitude(place.scale) + magnitude(place.offset);
+    if (!(largest <= kLargestJointValue)) return false;
+    if (arm.joints[k].slides()) slides += magnitude(value_of(place, q[coordinate]));
+  }
+  if (slides > arm.room) return false;
+  return waypoint == 0 || most_turn(arm, {q - arm.coordinate_count, q, 0.0, 1.0}) <= kLongestTurn;
+}
+
+// Whether the poses of resting obstacles of a path are valid; those that move are checked before.
+PGCCD_HD bool are_sound_obstacles(const ArmObstacles& obstacles, int64_t path) {
   if (obstacles.move) return true;
   for (int64_t k = 0; k < obstacles.count; ++k) {
     const int64_t row = obstacles.row(path, 0) * obstacles.count + k;

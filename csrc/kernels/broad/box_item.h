@@ -42,21 +42,29 @@ class BoxPair {
 
   // True if the boxes certainly stay apart. NaN keeps a pair.
   PGCCD_HD bool stay_apart() const {
-    if (!box_[0]->is_slender() || !box_[1]->is_slender()) return separates(towards_point());
-    // The long edges first: they separate most pairs of rods.
-    constexpr int kEdges = 3, kFirstCross = 1 + 2 * kEdges;
-    for (int k = 0; k < kFirstCross - 1 + kEdges * kEdges; ++k) {
-      const int pair_of_edges = k == 0 ? 0 : k - kFirstCross + 1;
-      const bool is_face = k > 0 && k < kFirstCross;
-      if (separates(is_face ? mean_edge((k - 1) / kEdges, (k - 1) % kEdges)
-                            : cross(mean_edge(0, pair_of_edges / kEdges), mean_edge(1, pair_of_edges % kEdges)))) {
-        return true;
-      }
+    for (int k = 0; k < direction_count(); ++k) {
+      if (separates(k)) return true;
     }
     return false;
   }
 
+  // The directions in which the boxes may be apart, and whether they certainly are in the k-th.
+  PGCCD_HD int direction_count() const {
+    return box_[0]->is_slender() && box_[1]->is_slender() ? 2 * kEdges + kEdges * kEdges : 1;
+  }
+  PGCCD_HD bool separates(int k) const {
+    if (direction_count() == 1) return separates(towards_point());
+    // The long edges first: they separate most pairs of rods.
+    constexpr int kFirstCross = 1 + 2 * kEdges;
+    const int pair_of_edges = k == 0 ? 0 : k - kFirstCross + 1;
+    const bool is_face = k > 0 && k < kFirstCross;
+    return separates(is_face ? mean_edge((k - 1) / kEdges, (k - 1) % kEdges)
+                             : cross(mean_edge(0, pair_of_edges / kEdges), mean_edge(1, pair_of_edges % kEdges)));
+  }
+
  private:
+  static constexpr int kEdges = 3;
+
   // Smaller pairs are within the rounding of the local frame.
   static constexpr double kSmallestSize = 0x1p-126;
 

@@ -3,13 +3,12 @@
 
 #include <cstdint>
 #include <functional>
-#include <optional>
-#include <tuple>
 #include <vector>
 
 #include "kernels/device_context.h"
 #include "kernels/executor.h"
 #include "kernels/narrow/contact_item.h"
+#include "kernels/narrow/pair_contact.h"
 #include "kernels/narrow/elementary_item.h"
 
 namespace pgccd {
@@ -113,23 +112,9 @@ void copy_contacts(const ContactRows& rows, int64_t count, const ContactColumns&
 template <class Bodies>
 ContactRows solve_candidates(const Executor& executor, const Bodies& bodies, const NarrowInput& input);
 
-// A contact of a pair, without its place.
-struct PairContact {
-  Candidate candidate;
-  Outcome<double> outcome;
-
-  // As for rows: the first one, of equal toi that of the smallest features.
-  bool is_before(const PairContact& other) const {
-    const auto key = [](const PairContact& c) {
-      return std::make_tuple(c.outcome.toi, c.candidate.kind, c.candidate.feature_i, c.candidate.feature_j);
-    };
-    return key(*this) < key(other);
-  }
-};
-
 // The contact to report of candidates of a single pair, input.pairs, which are all sound: on the calling thread.
 template <class Bodies>
-std::optional<PairContact> contact_of_pair(const Bodies& bodies, const NarrowInput& input);
+PairContact contact_of_pair(const Bodies& bodies, const NarrowInput& input);
 
 // Where a contact of a pair is.
 template <class Bodies>

@@ -162,14 +162,14 @@ ContactRows solve_candidates(const Executor& executor, const Bodies& bodies, con
 }
 
 template <class Bodies>
-std::optional<PairContact> contact_of_pair(const Bodies& bodies, const NarrowInput& input) {
-  std::optional<PairContact> best;
+PairContact contact_of_pair(const Bodies& bodies, const NarrowInput& input) {
+  PairContact best;
   double latest = input.latest != nullptr ? *input.latest : kNever;
   const bool wants_first = pgccd::wants_first(input.report);
   const PairOf<Bodies> pair(bodies, input.pairs[0], input.pairs[1]);
   const auto keep = [&](int64_t candidate, const Outcome<double>& outcome) {
     const PairContact found{input.candidates.items[candidate], outcome};
-    if (!best || (wants_first && found.is_before(*best))) best = found;
+    if (!best.is_found() || (wants_first && found.is_before(best))) best = found;
     latest = smaller(latest, outcome.toi);
   };
   solve_pair(bodies, pair, input, 0, input.candidates.size, true, keep,
@@ -182,7 +182,7 @@ ContactPlace place_of_contact(const Bodies& bodies, int64_t i, int64_t j, const 
   return contact_place(bodies, PairOf<Bodies>(bodies, i, j), contact.candidate, contact.outcome.toi);
 }
 
-template std::optional<PairContact> contact_of_pair(const RigidBodies&, const NarrowInput&);
+template PairContact contact_of_pair(const RigidBodies&, const NarrowInput&);
 template ContactPlace place_of_contact(const RigidBodies&, int64_t, int64_t, const PairContact&);
 
 namespace {

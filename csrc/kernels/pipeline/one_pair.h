@@ -1,7 +1,6 @@
 // The search of one body pair after another on the calling thread, in memory that is kept.
 #pragma once
 
-#include <optional>
 #include <vector>
 
 #include "kernels/narrow/narrow.h"
@@ -9,7 +8,7 @@
 
 namespace pgccd {
 
-struct PairQuery {
+struct OnePairQuery {
   int64_t pair[2];
   double separation, tolerance;
   bool tests_start;
@@ -19,11 +18,11 @@ struct PairQuery {
 class OnePairSearch {
  public:
   // The contact to report of a pair that turns by little enough for few segments.
-  std::optional<PairContact> search(const RigidBodies& bodies, const PairQuery& query);
+  PairContact search(const RigidBodies& bodies, const OnePairQuery& query);
 
   // The time, as part of the step, before which the pair certainly stays apart, as far as its leaves show; infinite for
   // the whole step. The candidates are not looked at.
-  double free_until(const RigidBodies& bodies, const PairQuery& query);
+  double free_until(const RigidBodies& bodies, const OnePairQuery& query);
 
   int64_t node_tests = 0, candidates = 0;  // of all searches
 
@@ -33,13 +32,13 @@ class OnePairSearch {
     FirstFeature first;  // of their candidates, at least
   };
 
-  void find_leaves(const RigidBodies& bodies, const PairQuery& query, size_t most_at_start);
-  std::optional<PairContact> search_surfaces(const RigidBodies& bodies, const PairQuery& query, size_t most_at_start);
-  void place(const RigidBodies& bodies, const PairQuery& query, double until);
-  void order(const RigidBodies& bodies, const PairQuery& query);
+  void find_leaves(const RigidBodies& bodies, const OnePairQuery& query, size_t most_at_start);
+  PairContact search_surfaces(const RigidBodies& bodies, const OnePairQuery& query, size_t most_at_start);
+  void place(const RigidBodies& bodies, const OnePairQuery& query, double until);
+  void order(const RigidBodies& bodies, const OnePairQuery& query);
   void take_batch(size_t most, bool only_first);
-  std::optional<PairContact> search_enclosures(const RigidBodies& bodies, const PairQuery& query);
-  std::optional<PairContact> solve(const RigidBodies& bodies, const PairQuery& query, const double* latest);
+  PairContact search_enclosures(const RigidBodies& bodies, const OnePairQuery& query);
+  PairContact solve(const RigidBodies& bodies, const OnePairQuery& query, const double* latest);
 
   PlacedPair<RigidBodies> placed_;
   std::vector<LeafPair> leaves_, batch_;
