@@ -146,6 +146,7 @@ def extension_modules() -> list[Extension]:
 
 def operators_module() -> Extension:
     sources = glob("csrc/kernels/**/*.cpp", recursive=True) + glob("csrc/bind/*.cpp")
+    sources += glob("csrc/library/*.cpp")
     sources = [source for source in sources if source != HOST_MODULE_SOURCE]
     options = {
         "include_dirs": [str(ROOT / "csrc")],

@@ -12,7 +12,7 @@ void certify(const Executor& executor, const ArmScene& scene, const ArmPaths& pa
     std::vector<double> memory(SearchMemory::bytes(scene) / sizeof(double));
     HostTeam team;
     PathSearch<HostTeam> search(scene, paths, resolution, {scene, reinterpret_cast<char*>(memory.data())}, team);
-    for (int64_t path = begin; path < end; ++path) store_verdict(out, path, search.certify(path, true), scene);
+    for (int64_t path = begin; path < end; ++path) store_verdict(out, path, search.certify(path, {}), scene);
   });
 }
 

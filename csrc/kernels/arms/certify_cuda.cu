@@ -23,7 +23,7 @@ __global__ void __launch_bounds__(kPathThreads)
     if (team.index() == 0) path = atomicAdd(next, 1u);
     path = __shfl_sync(kAllLanes, path, 0);
     if (path >= paths.path_count) return;
-    const PathVerdict found = search.certify(path, true);
+    const PathVerdict found = search.certify(path, {});
     if (team.index() == 0) store_verdict(out, path, found, scene);
   }
 }

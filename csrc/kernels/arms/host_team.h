@@ -28,10 +28,18 @@ class HostTeam {
     return search_.search(bodies, one_pair(query));
   }
 
-  void begin() { search_.node_tests = search_.candidates = 0; }
+  void begin() {
+    search_.node_tests = search_.candidates = 0;
+    is_exhausted_ = false;
+  }
   int64_t node_tests() const { return search_.node_tests; }
   int64_t candidates() const { return search_.candidates; }
-  bool is_exhausted() const { return false; }  // its lists grow
+  bool is_exhausted() const { return is_exhausted_; }
+  void give_up() { is_exhausted_ = true; }
+
+  // Nothing is kept between paths.
+  bool is_known_apart(int64_t, const RigidBodies&) const { return false; }
+  void learn(int64_t, const RigidBodies&) const {}
 
  private:
   static OnePairQuery one_pair(const PairQuery& query) {
@@ -40,6 +48,7 @@ class HostTeam {
 
   OnePairSearch search_;
   PairMemory pair_;
+  bool is_exhausted_ = false;
 };
 
 }  // namespace pgccd

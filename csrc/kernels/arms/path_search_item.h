@@ -19,10 +19,10 @@ class PathSearch {
     spheres_.tolerance = kContactTolerance * resolution;
   }
 
-  // `tells_collisions`: whether configurations are looked for in which bodies touch.
-  PGCCD_TARGET PathVerdict certify(int64_t path, bool tells_collisions) {
+  PGCCD_TARGET PathVerdict certify(int64_t path, const SearchOptions& options) {
     const double nan = static_cast<double>(NAN);
     path_ = path;
+    options_ = options;
     verdict_ = {Verdict::kFree, {paths_.waypoint_count, static_cast<double>(INFINITY), -1}, {nan, nan, nan}, {}};
     team_.begin();
     if (!is_sound()) {
@@ -30,14 +30,12 @@ class PathSearch {
       verdict_.first = {-1, 0.0, -1};
       return verdict_;
     }
-    for (int64_t segment = 0; segment + 1 < paths_.waypoint_count && verdict_.first.pair < 0; ++segment) {
-      const int64_t parts = first_parts(scene_.arm, joints_over(paths_, scene_.arm, {path, segment, 0.0, 1.0}));
-      for (int64_t k = 0; k < parts && verdict_.first.pair < 0; ++k) {
-        search_span({path, segment, edge_of_part(0.0, 1.0, k, parts), edge_of_part(0.0, 1.0, k + 1, parts)});
-      }
+    if (options.first_pair >= 0) {
+      for_each_span([&](const PathSpan& span) { search_first(options.first_pair, span); });
     }
+    for_each_span([&](const PathSpan& span) { search_span(span); });
     if (verdict_.verdict == Verdict::kFree) verdict_.first.segment = -1;
-    if (verdict_.verdict == Verdict::kNear && tells_collisions && touch_behind())
+    if (verdict_.verdict == Verdict::kNear && options.tells_collisions && touch_behind())
       verdict_.verdict = Verdict::kCollision;
     verdict_.counts[kArmNodeTests] = team_.node_tests();
     verdict_.counts[kArmCandidates] = team_.candidates();
@@ -49,7 +47,31 @@ class PathSearch {
     return verdict_;
   }
 
+  // A pair that touches at the first waypoint of a path, `first_pair` if it does.
+  PGCCD_TARGET int64_t find_touching(int64_t path, int64_t first_pair) {
+    path_ = path;
+    team_.begin();
+    if (!is_sound()) return kNoPose;
+    const PathSpan still{path, 0, 0.0, 0.0};
+    if (first_pair >= 0 && contact_at_rest(first_pair, still, true).is_found()) return first_pair;
+    return find_touching_at(still, first_pair);
+  }
+
  private:
+  PGCCD_TARGET bool is_decided() const { return verdict_.first.pair >= 0 || team_.is_exhausted(); }
+
+  // Calls search(span) for the parts into which the segments are split first, until a contact is known.
+  template <class Search>
+  PGCCD_TARGET void for_each_span(Search&& search) {
+    for (int64_t segment = 0; segment + 1 < paths_.waypoint_count; ++segment) {
+      const int64_t parts = first_parts(scene_.arm, joints_over(paths_, scene_.arm, {path_, segment, 0.0, 1.0}));
+      for (int64_t k = 0; k < parts; ++k) {
+        if (is_decided()) return;
+        search({path_, segment, edge_of_part(0.0, 1.0, k, parts), edge_of_part(0.0, 1.0, k + 1, parts)});
+      }
+    }
+  }
+
   PGCCD_TARGET bool is_sound() {
     bool is_wrong = team_.index() == 0 && !are_sound_obstacles(scene_.obstacles, path_);
     for (int64_t k = team_.index(); k < paths_.waypoint_count; k += Team::kCount) {
@@ -155,12 +177,14 @@ class PathSearch {
     return !team_.any(are_apart);
   }
 
-  PGCCD_TARGET PairTouch touch(const ArmPair& pair, const PathSpan& span) {
+  PGCCD_TARGET PairTouch touch(int64_t pair, const PathSpan& span) {
+    if (verdict_.counts[kPairSpans] >= options_.budget) team_.give_up();
+    if (team_.is_exhausted()) return {static_cast<double>(INFINITY), 0.0, {}};
     ++verdict_.counts[kPairSpans];
-    PairTouch touch{static_cast<double>(INFINITY), place_pair(pair, span), {}};
+    PairTouch touch{static_cast<double>(INFINITY), place_pair(scene_.pairs[pair], span), {}};
     const RigidBodies bodies = two_bodies();
     const double tolerance = kContactTolerance * resolution_;
-    if (!may_touch(bodies, tolerance)) return touch;
+    if (team_.is_known_apart(pair, bodies) || !may_touch(bodies, tolerance)) return touch;
     // Bodies that are apart at the start of a path are so at the start of every later span, unless one before it is not
     // free.
     const PairQuery query{tolerance, span.segment == 0 && span.begin == 0.0, false};
@@ -170,33 +194,44 @@ class PathSearch {
       touch.contact = team_.contact(bodies, query);
       touch.toi = touch.contact.outcome.toi;
     }
+    if (touch.toi == static_cast<double>(INFINITY)) team_.learn(pair, bodies);
     return touch;
   }
 
-  PGCCD_TARGET PairContact contact_at_rest(const ArmPair& pair, const PathSpan& still, bool any_will_do) {
+  PGCCD_TARGET PairContact contact_at_rest(int64_t pair, const PathSpan& still, bool any_will_do) {
     ++verdict_.counts[kPairSpans];
-    place_pair(pair, still);
+    place_pair(scene_.pairs[pair], still);
     const RigidBodies bodies = two_bodies();
     if (!may_touch(bodies, 0.0)) return {};
     return team_.contact(bodies, {0.0, true, any_will_do});
   }
 
+  // A pair over a span; false if it is free, or touches at the start of the path.
+  PGCCD_TARGET bool meets(int64_t pair, const PathSpan& span, PairTouch& met) {
+    met = touch(pair, span);
+    if (met.toi == static_cast<double>(INFINITY)) return false;
+    return !(span.segment == 0 && span.begin == 0.0 && met.toi == 0.0 && starts_with_contact(pair));
+  }
+
+  PGCCD_TARGET void search_first(int64_t pair, const PathSpan& span) {
+    PairTouch met;
+    if (meets(pair, span, met)) search_pair(pair, span, met);
+  }
+
   // All pairs over a span; first all of it, then what follows contacts, the earliest of them first.
   PGCCD_TARGET void search_span(const PathSpan& span) {
     place_all(span);
-    const bool is_start = span.segment == 0 && span.begin == 0.0;
     int64_t count = 0;
     team_.for_each_where(
-        scene_.pair_count, [&](int64_t k) { return may_meet(scene_.pairs[k]); },
+        scene_.pair_count, [&](int64_t k) { return k != options_.first_pair && may_meet(scene_.pairs[k]); },
         [&](int64_t k) {
-          if (verdict_.verdict == Verdict::kStart) return;
-          const PairTouch met = touch(scene_.pairs[k], span);
-          if (met.toi == static_cast<double>(INFINITY)) return;
-          if (is_start && met.toi == 0.0 && starts_with_contact(k)) return;
+          PairTouch met;
+          if (is_decided() || !meets(k, span, met)) return;
+          if (options_.any_will_do) return search_pair(k, span, met);
           if (team_.index() == 0) memory_.met[count] = {k, met};
           ++count;
         });
-    if (verdict_.verdict == Verdict::kStart) return;
+    if (is_decided()) return;
     team_.sync();
     for (int64_t searched = 0; searched < count; ++searched) {
       int64_t next = -1;
@@ -236,7 +271,7 @@ class PathSearch {
       within.begin = next.begin;
       within.end = next.end;
       if (!verdict_.first.is_after(within.segment, within.begin)) return;
-      met = touch(scene_.pairs[pair], within);
+      met = touch(pair, within);
     }
   }
 
@@ -251,7 +286,7 @@ class PathSearch {
 
   PGCCD_TARGET bool starts_with_contact(int64_t pair) {
     const PathSpan start{path_, 0, 0.0, 0.0};
-    const PairContact contact = contact_at_rest(scene_.pairs[pair], start, false);
+    const PairContact contact = contact_at_rest(pair, start, false);
     if (!contact.is_found()) return false;
     verdict_.verdict = Verdict::kStart;
     verdict_.first = {0, 0.0, pair};
@@ -295,18 +330,24 @@ class PathSearch {
   PGCCD_TARGET bool touch_behind() {
     const int64_t near = verdict_.first.pair;
     for (int k = 0; k < kWitnesses; ++k) {
-      if (contact_at_rest(scene_.pairs[near], witness(k), true).is_found()) return true;
+      if (contact_at_rest(near, witness(k), true).is_found()) return true;
     }
-    bool touch = false;
-    for (int k = 0; k < kWitnesses && !touch; ++k) {
-      place_all(witness(k));
-      team_.for_each_where(
-          scene_.pair_count, [&](int64_t pair) { return pair != near && may_meet(scene_.pairs[pair]); },
-          [&](int64_t pair) {
-            if (!touch) touch = contact_at_rest(scene_.pairs[pair], witness(k), true).is_found();
-          });
+    for (int k = 0; k < kWitnesses; ++k) {
+      if (find_touching_at(witness(k), near) != kNoPair) return true;
     }
-    return touch;
+    return false;
+  }
+
+  // A pair that touches in a configuration, besides one.
+  PGCCD_TARGET int64_t find_touching_at(const PathSpan& still, int64_t besides) {
+    place_all(still);
+    int64_t found = kNoPair;
+    team_.for_each_where(
+        scene_.pair_count, [&](int64_t pair) { return pair != besides && may_meet(scene_.pairs[pair]); },
+        [&](int64_t pair) {
+          if (found == kNoPair && contact_at_rest(pair, still, true).is_found()) found = pair;
+        });
+    return found;
   }
 
   const ArmScene& scene_;
@@ -316,6 +357,7 @@ class PathSearch {
   Team& team_;
   BroadBodies spheres_{};
   int64_t path_ = 0;
+  SearchOptions options_{};
   PathVerdict verdict_{};
 };
 

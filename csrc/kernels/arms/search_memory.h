@@ -1,6 +1,8 @@
 // What the search of a path finds, and the memory that it works in.
 #pragma once
 
+#include <limits>
+
 #include "kernels/arms/certify.h"
 #include "kernels/arms/span_item.h"
 #include "kernels/narrow/pair_contact.h"
@@ -43,6 +45,17 @@ struct PairQuery {
   bool tests_start;
   bool any_will_do;  // else the first contact is wanted
 };
+
+struct SearchOptions {
+  // Whether configurations are looked for in which bodies touch, after a contact.
+  bool tells_collisions = true;
+  bool any_will_do = false;                              // else the first contact is wanted
+  int64_t first_pair = -1;                               // is searched before others; -1: none
+  int64_t budget = std::numeric_limits<int64_t>::max();  // of pairs over spans
+};
+
+// What `find_touching` returns if no pair touches, or the configuration has no pose.
+constexpr int64_t kNoPair = -1, kNoPose = -2;
 
 // A ball around a whole way.
 struct Ball {

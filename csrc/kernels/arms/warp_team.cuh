@@ -54,6 +54,10 @@ class WarpTeam {
   __device__ int64_t node_tests() const { return node_tests_; }
   __device__ int64_t candidates() const { return candidates_; }
   __device__ bool is_exhausted() const { return is_exhausted_; }
+  __device__ void give_up() { is_exhausted_ = true; }
+
+  __device__ bool is_known_apart(int64_t, const RigidBodies&) const { return false; }
+  __device__ void learn(int64_t, const RigidBodies&) const {}
 
   // As OnePairSearch::free_until.
   __device__ __noinline__ double free_until(const RigidBodies& bodies, const PairQuery& query) {
