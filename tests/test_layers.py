@@ -97,7 +97,7 @@ def test_kernels_wait_for_previous_ones() -> None:
 
 
 def test_stages_do_not_know_one_another() -> None:
-    """Only the pipeline, the distance of bodies and paths of robots include other stages, and no stage includes them."""
+    """Only pipeline, distance and arms include other stages, and no stage includes them."""
     wrong = []
     for path in sources():
         parts = path.relative_to(CSRC).parts

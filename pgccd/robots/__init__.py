@@ -10,8 +10,19 @@ from pgccd.robots.obstacles import Obstacles
 from pgccd.robots.path_search import certify
 from pgccd.robots.robot import Robot
 from pgccd.robots.urdf import load_urdf
+from pgccd.robots.validator import Motion, MotionValidator
 
-__all__ = ["Certificate", "Obstacles", "Robot", "Verdict", "certify", "load_mjcf", "load_urdf"]
+__all__ = [
+    "Certificate",
+    "Motion",
+    "MotionValidator",
+    "Obstacles",
+    "Robot",
+    "Verdict",
+    "certify",
+    "load_mjcf",
+    "load_urdf",
+]
 
 
 def __dir__() -> list[str]:

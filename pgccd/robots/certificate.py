@@ -29,6 +29,8 @@ class Verdict(IntEnum):
         INVALID: the value of a joint is not finite or larger than 1e6, a link turns by more than 1e4 radians between
             two waypoints (all joints added), the pose of an obstacle is invalid, or the robot may leave the square in
             place of an infinite plane of its file.
+        UNDECIDED: the search was given up: the budget of a `MotionValidator` was spent, or, on a GPU, the memory of a
+            search did not suffice.
     """
 
     FREE = 0
@@ -36,6 +38,7 @@ class Verdict(IntEnum):
     NEAR = 2
     START = 3
     INVALID = 4
+    UNDECIDED = 5
 
 
 @dataclass(eq=False, kw_only=True, repr=False)
@@ -45,8 +48,9 @@ class Certificate(Rows):
     Attributes:
         verdict: (B,) int8, see `Verdict`.
         time: (B,) float64 in [0, 1]: the path is certainly free of contact before this part of its segments; inf if it
-            is free, 0 for `START` and `INVALID`. Never later than the first contact.
-        segment: (B,) int64: the segment of `time`, from waypoint `segment` to the next; -1 if free or invalid.
+            is free, 0 for `START`, `INVALID` and `UNDECIDED`. Never later than the first contact.
+        segment: (B,) int64: the segment of `time`, from waypoint `segment` to the next; -1 if free, invalid or
+            undecided.
         toi: (B,) float64 in [0, 1], within the segment; inf if free.
         links: (B, 2) int64: what meets there: a link, or -1 - k for obstacle k; the number of links where nothing does.
         point: (B, 3) float64, world frame: where they meet; nan if nothing does.
