@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from mutants_of.mutant import Mutant
 
-STRAY = "pgccd/robots/stray.py"
+KINEMATICS = "csrc/kernels/arms/kinematics_item.h"
+SPAN = "csrc/kernels/arms/span_item.h"
+MEMORY = "csrc/kernels/arms/search_memory.h"
+PATHS = "csrc/kernels/arms/path_search_item.h"
+TABLES = "pgccd/robots/tables.py"
 ON_STRAY = ("robots/test_stray.py",)
-SEARCH = "pgccd/robots/path_search.py"
 LINKS = "pgccd/robots/links.py"
 MJCF = "pgccd/robots/mjcf.py"
 URDF = "pgccd/robots/urdf.py"
 ON_UNTESTED = ("robots/test_untested.py",)
 ON_SEARCH = ("robots/test_path_search.py",)
+ON_VALIDATOR = ("robots/test_validator.py",)
 ROBOT = "pgccd/robots/robot.py"
 ATTACHED = "pgccd/robots/attached.py"
 UNTESTED = "pgccd/robots/untested.py"
@@ -21,8 +25,20 @@ ON_MOVING = ("robots/test_moving_obstacles.py",)
 NOT_ATTAINED = "a term of higher order in the turn, of which no chain is known that attains it"
 
 
-def _pose_error(name: str, old: str, new: str) -> Mutant:
-    return Mutant(f"arm-pose-error-{name}", STRAY, old, new, ON_STRAY, switched=False)
+def _arm(name: str, old: str, new: str, equivalent: str = "") -> Mutant:
+    return Mutant(f"arm-{name}", KINEMATICS, old, new, (*ON_STRAY, *ON_SEARCH), equivalent=equivalent)
+
+
+def _search(name: str, file: str, old: str, new: str) -> Mutant:
+    return Mutant(f"arm-{name}", file, old, new, (*ON_SEARCH, *ON_STRAY, *ON_MOVING))
+
+
+def _moving(name: str, old: str, new: str) -> Mutant:
+    return Mutant(f"moving-{name}", SPAN, old, new, (*ON_MOVING, "kernels/test_arms.py"))
+
+
+def _validator(name: str, old: str, new: str) -> Mutant:
+    return Mutant(f"validator-{name}", "csrc/kernels/arms/validator_cpu.cpp", old, new, ON_VALIDATOR)
 
 
 MUTANTS = [
@@ -139,35 +155,12 @@ MUTANTS = [
         ON_UNTESTED,
         switched=False,
     ),
-    Mutant(
-        "arm-origin-0.999",
-        STRAY,
-        "0.125 * _acc",
-        "0.124875 * _acc",
-        (*ON_STRAY, "robots/test_path_search.py"),
-        switched=False,
-    ),
-    Mutant("arm-rotation-0.999", STRAY, "* 0.125", "* 0.124875", ON_STRAY, switched=False),
-    Mutant(
-        "arm-joints-apart",
-        STRAY,
-        "(revolute + 2.0 * before)",
-        "(revolute + 0.0 * before)",
-        ON_STRAY,
-        switched=False,
-    ),
-    Mutant(
-        "arm-slide-0.999", STRAY, "2.0 * (prismatic * before)", "1.998 * (prismatic * before)", ON_STRAY, switched=False
-    ),
-    Mutant(
-        "arm-speed-zero",
-        STRAY,
-        "0.5 * (ends[n] + speed)",
-        "0.5 * ends[n]",
-        ON_STRAY,
-        equivalent=NOT_ATTAINED,
-        switched=False,
-    ),
+    _arm("origin-0.999", "(0.125 * acceleration + reach", "(0.124875 * acceleration + reach"),
+    _arm("rotation-0.999", "* (turn * turn)) * 0.125", "* (turn * turn)) * 0.124875"),
+    _arm("joints-apart", "motion.step + 2.0 * motion.turn_before", "motion.step + 0.0 * motion.turn_before"),
+    _arm("turns-before-forgotten", "before.turn_before + (arm", "0.0 * before.turn_before + (arm"),
+    _arm("slide-0.999", "2.0 * (motion.step * motion.turn_before)", "1.998 * (motion.step * motion.turn_before)"),
+    _arm("speed-zero", "0.5 * (ends + speed)", "0.5 * ends", NOT_ATTAINED),
     Mutant(
         "arm-crossing-of-neighbours",
         "pgccd/robots/kinematics.py",
@@ -176,61 +169,65 @@ MUTANTS = [
         ON_STRAY,
         switched=False,
     ),
-    Mutant("arm-rate", STRAY, "2.0 * _RATE * s", "0.0 * s", ON_STRAY, equivalent=NOT_ATTAINED, switched=False),
+    _arm("rate", "2.0 * arm_detail::kRate * turn", "0.0 * turn", NOT_ATTAINED),
+    _arm("pose-error", "kPoseError * (error_count", "0.99 * arm_detail::kPoseError * (error_count"),
+    _arm("pose-error-without-turns", "1.0 + (joint.turns() ? motion.largest : 0.0)", "1.0"),
+    _arm("pose-error-without-slides", "distance + (joint.slides() ? motion.largest : 0.0)", "distance"),
+    _arm("pose-error-without-joints", "1.0 + (joint.turns()", "0.0 + (joint.turns()"),
+    _arm("pose-error-without-lengths", "distance + (joint.slides()", "0.0 * distance + (joint.slides()"),
+    _arm("pose-error-without-reach", "error_length = reach,", "error_length = 0.0 * reach,"),
+    _arm("pose-error-without-scale", "q * magnitude(place.scale) +", "q +"),
+    _arm("pose-error-without-offset", "+ magnitude(place.offset);", "+ 0.0 * magnitude(place.offset);"),
+    _search("first-parts-2", SPAN, "0.99 * kMostTurn", "1.98 * kMostTurn"),
+    _search("first-parts-unrounded", SPAN, "std::ceil(most_turn(", "std::floor(most_turn("),
+    _search(
+        "turns-unscaled",
+        KINEMATICS,
+        "magnitude((span.to[coordinate] - span.from[coordinate]) * arm.places[k].scale)",
+        "magnitude(span.to[coordinate] - span.from[coordinate])",
+    ),
+    Mutant("arm-turns-4", TABLES, "MOST_TURN = 1.0", "MOST_TURN = 4.0", ON_STRAY, switched=False),
     Mutant(
-        "arm-pose-error",
-        STRAY,
-        "_POSE_ERROR = 2.0**-46",
-        "_POSE_ERROR = 0.0",
+        "arm-turns-unscaled-in-python",
+        TABLES,
+        "(steps[:, joint.coordinate] * joint.scale).abs()",
+        "steps[:, joint.coordinate].abs()",
         ON_STRAY,
         switched=False,
     ),
-    _pose_error("without-turns", "joints + turns[n]", "joints + 0.0 * turns[n]"),
-    _pose_error("without-slides", "length + slides[n]", "length + 0.0 * slides[n]"),
-    _pose_error("without-joints", "joints + places.present[n]", "joints"),
-    _pose_error("without-lengths", "length + places.distance[n], joints", "length, joints"),
-    _pose_error(
-        "without-reach",
-        "length, joints = chains.forth, chains.reach,",
-        "length, joints = chains.forth, 0.0 * chains.reach,",
+    _search(
+        "rounding-between-waypoints",
+        KINEMATICS,
+        "larger(magnitude(span.from[joint.coordinate]), magnitude(span.to[joint.coordinate]))",
+        "larger(magnitude(from), magnitude(to))",
     ),
-    _pose_error("without-scale", "chains.of_joints(q).abs() * chains.scale.abs()", "chains.of_joints(q).abs()"),
-    _pose_error("without-offset", " + chains.offset.abs()", ""),
-    _pose_error("scaled-0.99", "_POSE_ERROR * (joints * length)", "0.99 * _POSE_ERROR * (joints * length)"),
-    Mutant("arm-turns-4", STRAY, "MOST_TURN = 1.0", "MOST_TURN = 4.0", ON_SEARCH, switched=False),
-    Mutant("arm-first-steps-2", SEARCH, "0.99 * MOST_TURN", "1.98 * MOST_TURN", ON_SEARCH, switched=False),
-    Mutant("arm-first-steps-4", SEARCH, "0.99 * MOST_TURN", "3.96 * MOST_TURN", ON_SEARCH, switched=False),
-    Mutant(
-        "arm-first-steps-unrounded",
-        SEARCH,
-        "0.99 * MOST_TURN)).ceil()",
-        "0.99 * MOST_TURN)).floor()",
-        ON_SEARCH,
-        switched=False,
-    ),
-    Mutant(
-        "arm-turns-unscaled",
-        STRAY,
-        "(chains.of_joints(step) * chains.scale).abs()",
-        "chains.of_joints(step).abs()",
-        (*ON_STRAY, *ON_SEARCH),
-        switched=False,
-    ),
-    Mutant(
-        "arm-rounding-between-waypoints",
-        SEARCH,
-        "torch.maximum(*way)",
-        "torch.maximum(q0.abs(), q1.abs())",
-        ON_SEARCH,
-        switched=False,
-    ),
-    Mutant("arm-near-at-an-end", SEARCH, "length <= _SHORTEST", "left <= _SHORTEST", ON_SEARCH, switched=False),
+    _search("near-too-early", SPAN, "2.0 * stray + kContactTolerance", "1.0 * stray + kContactTolerance"),
+    _search("near-at-an-end", SPAN, "span.end - span.begin <= kShortestSpan", "span.end - span.begin <= 0.5"),
     Mutant(
         "arm-sum-of-times",
-        SEARCH,
-        "(own > segment) | ((own == segment) & (at > toi))",
-        "own + at > segment + toi",
-        ON_SEARCH,
+        MEMORY,
+        "segment > other_segment || (segment == other_segment && toi > other_toi)",
+        "segment + toi > other_segment + other_toi",
+        ("kernels/test_arms.py",),
+    ),
+    _search("last-part-forgotten", SPAN, "return k == parts ? end", "return k == parts ? begin"),
+    _search("starts-untested", PATHS, "span.segment == 0 && span.begin == 0.0, false}", "false, false}"),
+    _search("one-of-both-strays", PATHS, "memory.stray[0] + memory.stray[1]", "memory.stray[0]"),
+    _search("ball-of-half-the-way", PATHS, "reach + norm(half)", "0.5 * (reach + norm(half))"),
+    _search("margins-forgotten", SPAN, "add_up(scene.margin[body], arc.stray)", "scene.margin[body]"),
+    _validator("ways-of-origins", "norm(start - known.position[side]) +", "0.0 * norm(start - known.position[side]) +"),
+    _validator("ways-along-arcs", "norm(end - start) +", "0.0 * norm(end - start) +"),
+    _validator("turns", "reach_of(pair, bodies, side) * turn", "0.0 * turn"),
+    _validator("turns-along-arcs", "+ norm(load_vec3(bodies.rotation + 3 * side))", "+ 0.0"),
+    _validator("turns-before", "2.0 * smaller(apart(-1.0), apart(1.0))", "0.0"),
+    _validator("strays", "3.0 * this->pair().stray[side]", "0.0 * this->pair().stray[side]"),
+    Mutant(
+        "validator-learns-of-contacts",
+        PATHS,
+        "if (touch.toi == static_cast<double>(INFINITY)) team_.learn(pair, bodies);",
+        "team_.learn(pair, bodies);",
+        ON_VALIDATOR,
+        equivalent="what is learned is tested at rest: bodies that are apart there are",
         switched=False,
     ),
     Mutant(
@@ -274,24 +271,10 @@ MUTANTS = [
     Mutant("allowed-of-all-links", ROBOT, " if self.link_names[own] == link}", "}", ON_ATTACHED, switched=False),
     Mutant("allowed-first-obstacle", ROBOT, "obstacles.names.index(name)", "0", ON_ATTACHED, switched=False),
     Mutant("allowed-unknown", UNTESTED, "if name not in names:", "if False:", ON_ATTACHED, switched=False),
-    Mutant("moving-whole-rotation", OBSTACLES, " * length[:, None, None]", "", ON_MOVING, switched=False),
-    Mutant(
-        "moving-shorter-way",
-        SEARCH,
-        "            motion = RigidMotion.from_rotation(poses[0]",
-        "            RigidMotion.from_rotation(poses[0]",
-        ON_MOVING,
-        switched=False,
-    ),
-    Mutant("moving-ends-early", SEARCH, "(end, when.end)", "(end, when.begin)", ON_MOVING, switched=False),
-    Mutant(
-        "moving-no-rounding",
-        SEARCH,
-        "obstacles._error.to(q.device)",
-        "0 * obstacles._error.to(q.device)",
-        ON_MOVING,
-        switched=False,
-    ),
+    _moving("whole-rotation", "(end - begin) * rotation", "1.0 * rotation"),
+    _moving("ends-early", "at(end),", "at(begin),"),
+    _moving("no-rounding", "obstacles.error[obstacle]", "0.0 * obstacles.error[obstacle]"),
+    _moving("starts-late", "orientation_at(turned, rotation, begin)", "orientation_at(turned, rotation, end)"),
     Mutant(
         "moving-rounding-of-turns",
         OBSTACLES,

@@ -97,9 +97,9 @@ MUTANTS = [
     ),
     _mutant(
         "obstacles-of-first-environment",
-        OBSTACLES,
-        "own[environment] if own.dim() == 3",
-        "own[environment * 0] if own.dim() == 3",
+        "csrc/kernels/arms/arm.h",
+        "row_count == 1 ? 0 : path",
+        "row_count == 1 ? 0 : 0 * path",
         ON_CERTIFY,
     ),
 ]
