@@ -59,7 +59,7 @@ for verdict in Verdict:
 first = next(b for b in range(len(q)) if result.verdict[b] == Verdict.COLLISION)
 a, b = result.names(first)
 print(f"plan {first}: {a} and {b} may touch from {100 * float(result.time[first]):.1f} % of the path on, not before")
-print(f"{result.steps} steps were tested in {result.searches} searches")
+print(f"pairs of bodies were tested over {result.steps} parts of segments")
 
 # %%
 # **Samples.** The usual check tests configurations; with two a segment it finds fewer collisions, whatever the program.

@@ -111,6 +111,16 @@ def of_robots() -> dict[str, Any]:
     return names | {"id": state.id, "mood": state.position, "x": state.position}
 
 
+def planning_space(dimension: int) -> Any:
+    """OMPL's information on a space of so many dimensions."""
+    base = pytest.importorskip("ompl.base")
+    space, bounds = base.RealVectorStateSpace(dimension), base.RealVectorBounds(dimension)
+    bounds.setLow(-1.0)
+    bounds.setHigh(1.0)
+    space.setBounds(bounds)
+    return base.SpaceInformation(space)
+
+
 def namespace(module: str) -> dict[str, Any]:
     """Names that the examples of a module may use."""
     names: dict[str, Any] = {"pgccd": pgccd, "torch": torch, "np": np} | two_bodies()
@@ -124,6 +134,9 @@ def namespace(module: str) -> dict[str, Any]:
         pytest.importorskip("yourdfpy")
         pytest.importorskip("mujoco")
         names["robot"] = pgccd.robots.load_urdf("arm.urdf")
+    if module == "pgccd.robots.ompl":
+        names["space_information"] = planning_space(names["robot"].joint_count)
+    if module.startswith("pgccd.robots"):
         names["obstacles"] = pgccd.robots.Obstacles([names["mesh"]], torch.tensor([[3.0, 3.0, 3.0]]))
     if module in ("pgccd.simulators.mujoco_frames", "pgccd.simulators.simulator"):
         mujoco = pytest.importorskip("mujoco")

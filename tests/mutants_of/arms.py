@@ -25,12 +25,20 @@ ON_MOVING = ("robots/test_moving_obstacles.py",)
 NOT_ATTAINED = "a term of higher order in the turn, of which no chain is known that attains it"
 
 
-def _arm(name: str, old: str, new: str, equivalent: str = "") -> Mutant:
-    return Mutant(f"arm-{name}", KINEMATICS, old, new, (*ON_STRAY, *ON_SEARCH), equivalent=equivalent)
+# Expressions of the bound.
+OF_ROTATION = "(1.0 + 2.0 * arm_detail::kRate * turn + arm_detail::kAngle * (turn * turn))"
+COUNTED = "1.0 + (joint.turns() ? motion.largest : 0.0)"
+MEASURED = "distance + (joint.slides() ? motion.largest : 0.0)"
+PARTS = "most_turn(arm, segment) / (0.99 * kMostTurn)"
+TOLERANCE = "kContactTolerance * resolution"
 
 
-def _search(name: str, file: str, old: str, new: str) -> Mutant:
-    return Mutant(f"arm-{name}", file, old, new, (*ON_SEARCH, *ON_STRAY, *ON_MOVING))
+def _arm(name: str, old: str, new: str, within: str = "", equivalent: str = "") -> Mutant:
+    return Mutant(f"arm-{name}", KINEMATICS, old, new, (*ON_STRAY, *ON_SEARCH), within, equivalent)
+
+
+def _search(name: str, file: str, old: str, new: str, within: str = "") -> Mutant:
+    return Mutant(f"arm-{name}", file, old, new, (*ON_SEARCH, *ON_STRAY, *ON_MOVING), within)
 
 
 def _moving(name: str, old: str, new: str) -> Mutant:
@@ -155,12 +163,12 @@ MUTANTS = [
         ON_UNTESTED,
         switched=False,
     ),
-    _arm("origin-0.999", "(0.125 * acceleration + reach", "(0.124875 * acceleration + reach"),
-    _arm("rotation-0.999", "* (turn * turn)) * 0.125", "* (turn * turn)) * 0.124875"),
+    _arm("origin-0.999", "0.125 * acceleration", "0.124875 * acceleration"),
+    _arm("rotation-0.999", f"{OF_ROTATION} * 0.125", f"{OF_ROTATION} * 0.124875"),
     _arm("joints-apart", "motion.step + 2.0 * motion.turn_before", "motion.step + 0.0 * motion.turn_before"),
-    _arm("turns-before-forgotten", "before.turn_before + (arm", "0.0 * before.turn_before + (arm"),
+    _arm("turns-before-forgotten", "before.turn_before", "0.0 * before.turn_before"),
     _arm("slide-0.999", "2.0 * (motion.step * motion.turn_before)", "1.998 * (motion.step * motion.turn_before)"),
-    _arm("speed-zero", "0.5 * (ends + speed)", "0.5 * ends", NOT_ATTAINED),
+    _arm("speed-zero", "0.5 * (ends + speed)", "0.5 * ends", equivalent=NOT_ATTAINED),
     Mutant(
         "arm-crossing-of-neighbours",
         "pgccd/robots/kinematics.py",
@@ -169,17 +177,23 @@ MUTANTS = [
         ON_STRAY,
         switched=False,
     ),
-    _arm("rate", "2.0 * arm_detail::kRate * turn", "0.0 * turn", NOT_ATTAINED),
-    _arm("pose-error", "kPoseError * (error_count", "0.99 * arm_detail::kPoseError * (error_count"),
-    _arm("pose-error-without-turns", "1.0 + (joint.turns() ? motion.largest : 0.0)", "1.0"),
-    _arm("pose-error-without-slides", "distance + (joint.slides() ? motion.largest : 0.0)", "distance"),
-    _arm("pose-error-without-joints", "1.0 + (joint.turns()", "0.0 + (joint.turns()"),
-    _arm("pose-error-without-lengths", "distance + (joint.slides()", "0.0 * distance + (joint.slides()"),
-    _arm("pose-error-without-reach", "error_length = reach,", "error_length = 0.0 * reach,"),
-    _arm("pose-error-without-scale", "q * magnitude(place.scale) +", "q +"),
-    _arm("pose-error-without-offset", "+ magnitude(place.offset);", "+ 0.0 * magnitude(place.offset);"),
+    _arm("rate", "2.0 * arm_detail::kRate * turn", "0.0 * turn", equivalent=NOT_ATTAINED),
+    _arm(
+        "pose-error",
+        "arm_detail::kPoseError * (error_count * error_length)",
+        "0.99 * (arm_detail::kPoseError * (error_count * error_length))",
+    ),
+    _arm("pose-error-without-turns", COUNTED, "1.0"),
+    _arm("pose-error-without-joints", COUNTED, COUNTED.replace("1.0", "0.0")),
+    _arm("pose-error-without-slides", MEASURED, "distance"),
+    _arm("pose-error-without-lengths", MEASURED, f"0.0 * {MEASURED}"),
+    _arm("pose-error-without-reach", "reach", "0.0 * reach", within="error_length = reach,"),
+    _arm("pose-error-without-scale", "q * magnitude(place.scale)", "q"),
+    _arm(
+        "pose-error-without-offset", "magnitude(place.offset)", "0.0", within="place.scale) + magnitude(place.offset)"
+    ),
     _search("first-parts-2", SPAN, "0.99 * kMostTurn", "1.98 * kMostTurn"),
-    _search("first-parts-unrounded", SPAN, "std::ceil(most_turn(", "std::floor(most_turn("),
+    _search("first-parts-unrounded", SPAN, f"std::ceil({PARTS})", f"std::floor({PARTS})"),
     _search(
         "turns-unscaled",
         KINEMATICS,
@@ -201,7 +215,7 @@ MUTANTS = [
         "larger(magnitude(span.from[joint.coordinate]), magnitude(span.to[joint.coordinate]))",
         "larger(magnitude(from), magnitude(to))",
     ),
-    _search("near-too-early", SPAN, "2.0 * stray + kContactTolerance", "1.0 * stray + kContactTolerance"),
+    _search("near-too-early", SPAN, f"2.0 * stray + {TOLERANCE}", f"stray + {TOLERANCE}"),
     _search("near-at-an-end", SPAN, "span.end - span.begin <= kShortestSpan", "span.end - span.begin <= 0.5"),
     Mutant(
         "arm-sum-of-times",
@@ -210,15 +224,21 @@ MUTANTS = [
         "segment + toi > other_segment + other_toi",
         ("kernels/test_arms.py",),
     ),
-    _search("last-part-forgotten", SPAN, "return k == parts ? end", "return k == parts ? begin"),
-    _search("starts-untested", PATHS, "span.segment == 0 && span.begin == 0.0, false}", "false, false}"),
+    _search("last-part-forgotten", SPAN, "end", "begin", within="return k == parts ? end"),
+    _search(
+        "starts-untested",
+        PATHS,
+        "span.segment == 0 && span.begin == 0.0",
+        "false",
+        within="{tolerance, span.segment == 0 && span.begin == 0.0, false}",
+    ),
     _search("one-of-both-strays", PATHS, "memory.stray[0] + memory.stray[1]", "memory.stray[0]"),
     _search("ball-of-half-the-way", PATHS, "reach + norm(half)", "0.5 * (reach + norm(half))"),
     _search("margins-forgotten", SPAN, "add_up(scene.margin[body], arc.stray)", "scene.margin[body]"),
-    _validator("ways-of-origins", "norm(start - known.position[side]) +", "0.0 * norm(start - known.position[side]) +"),
-    _validator("ways-along-arcs", "norm(end - start) +", "0.0 * norm(end - start) +"),
+    _validator("ways-of-origins", "norm(start - known.position[side])", "0.0"),
+    _validator("ways-along-arcs", "norm(end - start)", "0.0"),
     _validator("turns", "reach_of(pair, bodies, side) * turn", "0.0 * turn"),
-    _validator("turns-along-arcs", "+ norm(load_vec3(bodies.rotation + 3 * side))", "+ 0.0"),
+    _validator("turns-along-arcs", "norm(load_vec3(bodies.rotation + 3 * side))", "0.0"),
     _validator("turns-before", "2.0 * smaller(apart(-1.0), apart(1.0))", "0.0"),
     _validator("strays", "3.0 * this->pair().stray[side]", "0.0 * this->pair().stray[side]"),
     Mutant(
@@ -272,7 +292,7 @@ MUTANTS = [
     Mutant("allowed-first-obstacle", ROBOT, "obstacles.names.index(name)", "0", ON_ATTACHED, switched=False),
     Mutant("allowed-unknown", UNTESTED, "if name not in names:", "if False:", ON_ATTACHED, switched=False),
     _moving("whole-rotation", "(end - begin) * rotation", "1.0 * rotation"),
-    _moving("ends-early", "at(end),", "at(begin),"),
+    _moving("ends-early", "at(end)", "at(begin)"),
     _moving("no-rounding", "obstacles.error[obstacle]", "0.0 * obstacles.error[obstacle]"),
     _moving("starts-late", "orientation_at(turned, rotation, begin)", "orientation_at(turned, rotation, end)"),
     Mutant(
