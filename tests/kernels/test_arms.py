@@ -15,7 +15,7 @@ PROGRAM = """
 #include <cstdio>
 #include <limits>
 #include <random>
-#include "kernels/arms/path_search_item.h"
+#include "kernels/arms/validator.h"
 
 using namespace pgccd;
 
@@ -92,7 +92,47 @@ void check_obstacles() {
   EXPECT(most > 1e-3);
 }
 
+// A distance that is known suffices for all points of bodies that move from there in any of these ways, and hardly.
+void check_known_distances() {
+  double x0[6] = {1, 2, 3, 0, 0, 0}, x1[6] = {1, 2, 3, 0, 0, 0}, r[8] = {1, 0, 0, 0, 1, 0, 0, 0}, w[6] = {};
+  RigidBodies bodies{};
+  bodies.centres.position_t0 = x0;
+  bodies.centres.position_t1 = x1;
+  bodies.orientation = r;
+  bodies.rotation = w;
+  KnownDistance known;
+  known.position[0] = {1, 2, 3};
+  known.orientation[0] = known.orientation[1] = {1, {0, 0, 0}};
+  const double still[2] = {0.0, 0.0}, reach[2] = {2.0, 0.5}, resolution = 0x1p-20;
+  const auto extra = [&](const double (&stray)[2]) {
+    return needed_distance(known, bodies, stray, reach, resolution) - resolution;
+  };
+  const auto suffices = [](double found, double moved) { return found >= moved && found <= moved * 1.0005 + 1e-9; };
+  EXPECT(suffices(extra(still), 0.0));
+  // Both bodies: where they are, how far they go, and how far they stray.
+  x0[0] = x1[0] = 4.0;
+  x0[4] = x1[4] = 0.25;
+  EXPECT(suffices(extra(still), 3.25));
+  x0[0] = 1.0;
+  x0[4] = 0.0;
+  EXPECT(suffices(extra(still), 3.25));
+  x1[0] = 1.0;
+  x1[4] = 0.0;
+  EXPECT(suffices(extra({0.5, 0.25}), 3.0 * 0.75));
+  // Turned by a small angle, either way round, and turning on: the farthest point moves on a circle.
+  for (const double sign : {1.0, -1.0}) {
+    const double angle = 0.01;
+    r[0] = sign * std::cos(0.5 * angle);
+    r[2] = sign * std::sin(0.5 * angle);
+    w[5] = 0.03;
+    EXPECT(suffices(extra(still), reach[0] * 2.0 * std::sin(0.5 * angle) + reach[1] * 0.03));
+  }
+}
+
 int main() {
+  check_known_distances();
+  const double half = 0.5 * (1.0 - kContactTolerance);
+  EXPECT(is_fine({0, 0, 0.0, 1.0}, half, 1.0) && !is_fine({0, 0, 0.0, 1.0}, half * (1.0 + 1e-9), 1.0));
   const FirstContact late{int64_t{1} << 40, 0.5 + 0x1p-40, 0}, first{7, 0.5, 0};
   EXPECT(late.is_after(late.segment, 0.5));
   EXPECT(!late.is_after(late.segment, late.toi));
@@ -104,9 +144,10 @@ int main() {
 """
 
 
-def test_order_of_times_and_rounding_of_obstacles(tmp_path: Path) -> None:
+def test_what_searches_rely_on(tmp_path: Path) -> None:
     """Segment and time within it are compared, not their sum, which is rounded. Points of moving obstacles are nearer
-    to their exact places than the margin for that, at both ends of a part and within it.
+    to their exact places than the margin for that, at both ends of a part and within it. A pair is near only within the
+    resolution. Bodies that move by less than what is known of their distance stay apart.
     """
     error = "0x1p-46 * (largest + (1.0 + norm(load_vec3(w))) * reach)"
     run_program(PROGRAM.replace("MARGIN", error), tmp_path)

@@ -38,7 +38,8 @@ def _arm(name: str, old: str, new: str, within: str = "", equivalent: str = "") 
 
 
 def _search(name: str, file: str, old: str, new: str, within: str = "") -> Mutant:
-    return Mutant(f"arm-{name}", file, old, new, (*ON_SEARCH, *ON_STRAY, *ON_MOVING), within)
+    modules = (*ON_SEARCH, *ON_STRAY, *ON_MOVING, "kernels/test_arms.py")
+    return Mutant(f"arm-{name}", file, old, new, modules, within)
 
 
 def _moving(name: str, old: str, new: str) -> Mutant:
@@ -46,7 +47,9 @@ def _moving(name: str, old: str, new: str) -> Mutant:
 
 
 def _validator(name: str, old: str, new: str) -> Mutant:
-    return Mutant(f"validator-{name}", "csrc/kernels/arms/validator_cpu.cpp", old, new, ON_VALIDATOR)
+    return Mutant(
+        f"validator-{name}", "csrc/kernels/arms/validator.h", old, new, (*ON_VALIDATOR, "kernels/test_arms.py")
+    )
 
 
 MUTANTS = [
@@ -235,12 +238,12 @@ MUTANTS = [
     _search("one-of-both-strays", PATHS, "memory.stray[0] + memory.stray[1]", "memory.stray[0]"),
     _search("ball-of-half-the-way", PATHS, "reach + norm(half)", "0.5 * (reach + norm(half))"),
     _search("margins-forgotten", SPAN, "add_up(scene.margin[body], arc.stray)", "scene.margin[body]"),
-    _validator("ways-of-origins", "norm(start - known.position[side])", "0.0"),
-    _validator("ways-along-arcs", "norm(end - start)", "0.0"),
-    _validator("turns", "reach_of(pair, bodies, side) * turn", "0.0 * turn"),
+    _validator("ways-of-origins", "norm(start - known.position[side])", "0.999 * norm(start - known.position[side])"),
+    _validator("ways-along-arcs", "norm(end - start)", "0.999 * norm(end - start)"),
+    _validator("turns", "reach[side] * turn", "0.999 * reach[side] * turn"),
     _validator("turns-along-arcs", "norm(load_vec3(bodies.rotation + 3 * side))", "0.0"),
-    _validator("turns-before", "2.0 * smaller(apart(-1.0), apart(1.0))", "0.0"),
-    _validator("strays", "3.0 * this->pair().stray[side]", "0.0 * this->pair().stray[side]"),
+    _validator("turns-before", "2.0 * smaller(apart(-1.0), apart(1.0))", "1.998 * smaller(apart(-1.0), apart(1.0))"),
+    _validator("strays", "3.0 * stray[side]", "2.997 * stray[side]"),
     Mutant(
         "validator-learns-of-contacts",
         PATHS,

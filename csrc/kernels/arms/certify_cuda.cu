@@ -5,11 +5,13 @@ namespace {
 
 constexpr int kPathThreads = 64;
 constexpr int kPathWarps = kPathThreads / kWarp;
+// Resident blocks per multiprocessor: searches wait for memory and for one another's lanes more than for registers.
+constexpr int kPathBlocks = 8;
 
 }  // namespace
 
 // Each warp takes the next path when it is done with one: paths differ in cost by a factor of a hundred.
-__global__ void __launch_bounds__(kPathThreads)
+__global__ void __launch_bounds__(kPathThreads, kPathBlocks)
     certify_kernel(ArmScene scene, ArmPaths paths, double resolution, PathVerdicts out, char* memory, int64_t bytes,
                    NodePair* stacks, uint32_t* next) {
   wait_for_previous_kernels();

@@ -72,7 +72,7 @@ class PathSearch {
     }
   }
 
-  PGCCD_TARGET bool is_sound() {
+  PGCCD_TARGET_RARE bool is_sound() {
     bool is_wrong = team_.index() == 0 && !are_sound_obstacles(scene_.obstacles, path_);
     for (int64_t k = team_.index(); k < paths_.waypoint_count; k += Team::kCount) {
       is_wrong |= !is_sound_waypoint(scene_.arm, paths_, path_, k);
@@ -81,7 +81,7 @@ class PathSearch {
   }
 
   // All bodies, and the spheres that contain them, over a span.
-  PGCCD_TARGET void place_all(const PathSpan& span) {
+  PGCCD_TARGET_RARE void place_all(const PathSpan& span) {
     ++verdict_.counts[kSpans];
     const Arm& arm = scene_.arm;
     const int64_t count = spheres_.count;
@@ -105,7 +105,7 @@ class PathSearch {
   }
 
   // `is_shared`: joints that are placed are not placed again.
-  PGCCD_TARGET ArmArc arc_of(int64_t body, int32_t shared, const PathSpan& span, bool rests, bool is_shared) {
+  PGCCD_TARGET_RARE ArmArc arc_of(int64_t body, int32_t shared, const PathSpan& span, bool rests, bool is_shared) {
     const Arm& arm = scene_.arm;
     if (body >= arm.body_count) {
       return arc_of_obstacle(scene_.obstacles, body - arm.body_count, span.path, span.segment, span.begin, span.end);
@@ -134,7 +134,7 @@ class PathSearch {
   PGCCD_TARGET RigidBodies two_bodies() const { return team_.pair().columns().bodies(scene_.meshes, 2); }
 
   // The two bodies of a pair in its frame; returns their strays, added.
-  PGCCD_TARGET double place_pair(const ArmPair& pair, const PathSpan& span) {
+  PGCCD_TARGET_RARE double place_pair(const ArmPair& pair, const PathSpan& span) {
     PairMemory& memory = team_.pair();
     team_.sync();
     for (int side = team_.index(); side < 2; side += Team::kCount) {
@@ -148,7 +148,7 @@ class PathSearch {
   }
 
   // Whether the two bodies may come within the tolerance: by their spheres and boxes.
-  PGCCD_TARGET bool may_touch(const RigidBodies& bodies, double tolerance) {
+  PGCCD_TARGET_RARE bool may_touch(const RigidBodies& bodies, double tolerance) {
     PairMemory& memory = team_.pair();
     BroadBodies broad{};
     broad.count = 2;
@@ -177,7 +177,7 @@ class PathSearch {
     return !team_.any(are_apart);
   }
 
-  PGCCD_TARGET PairTouch touch(int64_t pair, const PathSpan& span) {
+  PGCCD_TARGET_RARE PairTouch touch(int64_t pair, const PathSpan& span) {
     if (verdict_.counts[kPairSpans] >= options_.budget) team_.give_up();
     if (team_.is_exhausted()) return {static_cast<double>(INFINITY), 0.0, {}};
     ++verdict_.counts[kPairSpans];
@@ -198,7 +198,7 @@ class PathSearch {
     return touch;
   }
 
-  PGCCD_TARGET PairContact contact_at_rest(int64_t pair, const PathSpan& still, bool any_will_do) {
+  PGCCD_TARGET_RARE PairContact contact_at_rest(int64_t pair, const PathSpan& still, bool any_will_do) {
     ++verdict_.counts[kPairSpans];
     place_pair(scene_.pairs[pair], still);
     const RigidBodies bodies = two_bodies();
@@ -219,7 +219,7 @@ class PathSearch {
   }
 
   // All pairs over a span; first all of it, then what follows contacts, the earliest of them first.
-  PGCCD_TARGET void search_span(const PathSpan& span) {
+  PGCCD_TARGET_RARE void search_span(const PathSpan& span) {
     place_all(span);
     int64_t count = 0;
     team_.for_each_where(
@@ -247,7 +247,7 @@ class PathSearch {
   }
 
   // What follows the contact of a pair over a span, part by part.
-  PGCCD_TARGET void search_pair(int64_t pair, const PathSpan& span, const PairTouch& first) {
+  PGCCD_TARGET_RARE void search_pair(int64_t pair, const PathSpan& span, const PairTouch& first) {
     PathSpan within = span;
     PairTouch met = first;
     int open = 0;
@@ -284,7 +284,7 @@ class PathSearch {
     verdict_.point = point_of(scene_.pairs[pair], span, met.contact);
   }
 
-  PGCCD_TARGET bool starts_with_contact(int64_t pair) {
+  PGCCD_TARGET_RARE bool starts_with_contact(int64_t pair) {
     const PathSpan start{path_, 0, 0.0, 0.0};
     const PairContact contact = contact_at_rest(pair, start, false);
     if (!contact.is_found()) return false;
@@ -295,7 +295,7 @@ class PathSearch {
   }
 
   // The point of a contact in the world.
-  PGCCD_TARGET Vec3<double> point_of(const ArmPair& pair, const PathSpan& span, const PairContact& contact) {
+  PGCCD_TARGET_RARE Vec3<double> point_of(const ArmPair& pair, const PathSpan& span, const PairContact& contact) {
     place_pair(pair, span);
     if (team_.index() == 0) store_vec3(team_.pair().point, point_by_one(pair, span, contact));
     team_.sync();
@@ -339,7 +339,7 @@ class PathSearch {
   }
 
   // A pair that touches in a configuration, besides one.
-  PGCCD_TARGET int64_t find_touching_at(const PathSpan& still, int64_t besides) {
+  PGCCD_TARGET_RARE int64_t find_touching_at(const PathSpan& still, int64_t besides) {
     place_all(still);
     int64_t found = kNoPair;
     team_.for_each_where(

@@ -18,6 +18,31 @@ struct KnownDistance {
   int32_t tests = 0, uses = 0, patience = 1;
 };
 
+// The distance that has to be known of a pair there, so that no contact of it is reported over a span: bodies (2) and
+// how far each strays from its arc; `reach`: bounds of the distances of their points from their origins.
+//
+// On its way from the configuration that is known, a point moves by at most the way of the origin and, for the
+// rotation, twice the distance of the quaternions times its distance from there; then along the arc, from which it
+// strays. A contact is reported of bodies that come within the resolution, or within twice their strays.
+inline double needed_distance(const KnownDistance& known, const RigidBodies& bodies, const double (&stray)[2],
+                              const double (&reach)[2], double resolution) {
+  // Roundings of sums of lengths, and of the lengths of quaternions.
+  constexpr double kSumRounding = 1.0 + 0x1p-30;
+  double distance = resolution;
+  for (int side = 0; side < 2; ++side) {
+    const Vec3<double> start = load_vec3(bodies.centres.position_t0 + 3 * side);
+    const Vec3<double> end = load_vec3(bodies.centres.position_t1 + 3 * side);
+    const Quaternion now = load_quaternion(bodies.orientation + 4 * side), then = known.orientation[side];
+    const auto apart = [&](double sign) {
+      const double w = now.w + sign * then.w;
+      return std::sqrt(w * w + norm_squared(now.v + sign * then.v));
+    };
+    const double turn = 2.0 * smaller(apart(-1.0), apart(1.0)) + norm(load_vec3(bodies.rotation + 3 * side));
+    distance += norm(start - known.position[side]) + norm(end - start) + reach[side] * turn + 3.0 * stray[side];
+  }
+  return distance * kSumRounding;
+}
+
 class ValidatorTeam : public HostTeam {
  public:
   ValidatorTeam(const ArmScene& scene, double resolution)

@@ -6,8 +6,6 @@
 namespace pgccd {
 namespace {
 
-// Roundings of sums of lengths, and of the lengths of quaternions.
-constexpr double kSumRounding = 1.0 + 0x1p-30;
 // A distance is asked for that suffices for motions so many times as long.
 constexpr double kLonger = 3.0;
 constexpr int32_t kMostPatience = 256;
@@ -19,24 +17,9 @@ double ValidatorTeam::reach_of(int64_t pair, const RigidBodies& bodies, int side
   return body < scene_.arm.body_count ? scene_.arm.body_reach[body] : mesh_reach(bodies, side);
 }
 
-// On its way from the configuration that is known, a point moves by at most the way of the origin and, for the
-// rotation, twice the distance of the quaternions times its distance from there; then along the arc, from which it
-// strays. A contact is reported of bodies that come within the resolution, or within twice their strays.
 double ValidatorTeam::needed(int64_t pair, const RigidBodies& bodies, const KnownDistance& known) {
-  double distance = resolution_;
-  for (int side = 0; side < 2; ++side) {
-    const Vec3<double> start = load_vec3(bodies.centres.position_t0 + 3 * side);
-    const Vec3<double> end = load_vec3(bodies.centres.position_t1 + 3 * side);
-    const Quaternion now = load_quaternion(bodies.orientation + 4 * side), then = known.orientation[side];
-    const auto apart = [&](double sign) {
-      const double w = now.w + sign * then.w;
-      return std::sqrt(w * w + norm_squared(now.v + sign * then.v));
-    };
-    const double turn = 2.0 * smaller(apart(-1.0), apart(1.0)) + norm(load_vec3(bodies.rotation + 3 * side));
-    distance += norm(start - known.position[side]) + norm(end - start) + reach_of(pair, bodies, side) * turn;
-    distance += 3.0 * this->pair().stray[side];
-  }
-  return distance * kSumRounding;
+  const double reach[2] = {reach_of(pair, bodies, 0), reach_of(pair, bodies, 1)};
+  return needed_distance(known, bodies, this->pair().stray, reach, resolution_);
 }
 
 void ValidatorTeam::learn(int64_t pair, const RigidBodies& bodies) {
