@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from support.arms import slider
 from support.deforming import crumpled, motion_of
 from support.reports import detected
 from support.rollouts import tumbling
@@ -23,8 +24,6 @@ from torch.utils._python_dispatch import TorchDispatchMode
 import pgccd
 import pgccd.distributed
 from pgccd import robots, sim
-from pgccd.robots import shapes
-from pgccd.robots.kinematics import Joint, Tree
 
 #: Operations of torch with one correct result, or none to round.
 EXACT = """
@@ -104,11 +103,7 @@ def exits() -> None:
 
 
 def arms() -> None:
-    along_x, z, upright = np.array([0.5, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0, 0.0])
-    joints = [Joint("", "fixed", -1, 0.0 * z, upright, z)]
-    joints += [Joint(str(k), kind, k, along_x, upright, z, k) for k, kind in enumerate(("revolute", "prismatic"))]  # type: ignore[arg-type]
-    links = [(str(k), k + 1, [shapes.box(np.full(3, 0.2))]) for k in range(2)]
-    robot = robots.Robot("arm", Tree(joints), links, ["0", "1"], [(-1.0, 1.0)] * 2, lambda *_: None)
+    robot = slider()
     obstacles = robots.Obstacles([pgccd.Mesh.box([0.2] * 3)], torch.tensor([[1.0, 0.5, 0.1]]))
     robot.certify(torch.tensor([[[0.0, 0.0], [1.5, 0.3], [0.0, 0.0]]], dtype=torch.float64), obstacles)
     robot.trajectory(torch.tensor([[0.0, 0.0], [0.5, 0.3]], dtype=torch.float64))

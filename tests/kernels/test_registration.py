@@ -84,7 +84,7 @@ def test_operators_are_registered_for_both_sessions() -> None:
     everywhere, on_cpu, on_cuda = set(), {"register_voxel_ops"}, {"register_peer_ops", "register_graph_ops"}
     for path in BIND.glob("*_ops.h"):
         everywhere |= set(re.findall(r"template <class Session>\nvoid (register_\w+)", path.read_text()))
-    assert len(everywhere) == 8
+    assert len(everywhere) == 9
     for file, session, alone in (("ops_cpu.cpp", "CpuSession", on_cpu), ("ops_cuda.cpp", "CudaSession", on_cuda)):
         calls = re.findall(r"^  (register_\w+(?:<\w+>)?)\(library\);", (BIND / file).read_text(), re.MULTILINE)
         assert sorted(calls) == sorted({f"{name}<{session}>" for name in everywhere} | alone), file

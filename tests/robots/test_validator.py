@@ -76,6 +76,15 @@ def test_a_distance_that_hardly_suffices(tmp_path: Path) -> None:
             del free, touching
 
 
+def test_a_contact_at_the_goal(tmp_path: Path) -> None:
+    """It leaves less than the whole motion, however late it is."""
+    robot = loaded(Arm([Part("prismatic", UPRIGHT, UPRIGHT, (1, 0, 0), half=(0.5, 0.5, 0.5))]), tmp_path)
+    wall = Obstacles([pgccd.Mesh.box([1.0, 4.0, 4.0])], torch.tensor([[2.0, 0.0, 0.0]], dtype=torch.float64))
+    is_valid = robot.motion_validator(wall)
+    for goal in np.nextafter(1.0, [0.0, 1.0, 2.0]).tolist():
+        assert not is_valid([0.0], [goal]) and 0.99 < is_valid.last_valid([0.0], [goal]) < 1.0
+
+
 def test_budgets(tmp_path: Path) -> None:
     robot = loaded(beams(5), tmp_path)
     obstacles, _, _ = boxes(np.random.default_rng(2), 5, 0.4, 1.2)

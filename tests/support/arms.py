@@ -11,6 +11,8 @@ from oracle.arms import Arm, Part
 
 import pgccd
 from pgccd import ops, robots
+from pgccd.robots import shapes
+from pgccd.robots.kinematics import Joint, Tree
 
 UPRIGHT = (0.0, 0.0, 0.0)
 
@@ -21,6 +23,15 @@ def loaded(arm: Arm, folder: Path) -> robots.Robot:
     path = folder / "arm.urdf"
     path.write_text(arm.urdf())
     return pgccd.robots.load_urdf(path)
+
+
+def slider() -> robots.Robot:
+    """A cube on a hinge, and one that slides on it: without a file."""
+    along_x, z, upright = np.array([0.5, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0, 0.0])
+    joints = [Joint("", "fixed", -1, 0.0 * z, upright, z)]
+    joints += [Joint(str(k), kind, k, along_x, upright, z, k) for k, kind in enumerate(("revolute", "prismatic"))]  # type: ignore[arg-type]
+    links = [(str(k), k + 1, [shapes.box(np.full(3, 0.2))]) for k in range(2)]
+    return robots.Robot("arm", Tree(joints), links, ["0", "1"], [(-1.0, 1.0)] * 2, lambda *_: None)
 
 
 def pose_error(robot: robots.Robot, q: np.ndarray) -> np.ndarray:
