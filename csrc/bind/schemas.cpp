@@ -33,8 +33,9 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
       "sound_radii(Tensor of_meshes, Tensor mesh_index, Tensor? given, Tensor position_t0, Tensor position_t1, "
       "Tensor orientation, Tensor rotation, Tensor? margin) -> (Tensor radius, Tensor invalid_rows)");
   // Robots. arm = [joints (F, 3) i32, places (F, 13) f64, crossing (F, F) f64, chain_begin (N + 1,) i32, chain i32,
-  // body_reach (N,) f64]; bodies = [mesh_index i32, radius f64, margin f64, of N bodies and M obstacles; pairs (P, 3) i32]; obstacles =
-  // [position_t0 (R, M, 3), position_t1, orientation (R, M, 4), rotation, error (M,)], f64: see kernels/arms/arm.h.
+  // body_reach (N,) f64]; bodies = [mesh_index i32, radius f64, margin f64, of N bodies and M obstacles; pairs (P, 3)
+  // i32]; obstacles = [position_t0 (R, M, 3), position_t1, orientation (R, M, 4), rotation, error (M,)], f64: see
+  // kernels/arms/arm.h.
   library.def("arm_poses(Tensor[] arm, Tensor q) -> (Tensor position, Tensor orientation)");
   library.def("arm_strays(Tensor[] arm, Tensor q0, Tensor q1, Tensor begin, Tensor end) -> Tensor");
   library.def(
