@@ -8,8 +8,8 @@
 #include "kernels/device_context.h"
 #include "kernels/executor.h"
 #include "kernels/narrow/contact_item.h"
-#include "kernels/narrow/pair_contact.h"
 #include "kernels/narrow/elementary_item.h"
+#include "kernels/narrow/pair_contact.h"
 
 namespace pgccd {
 
