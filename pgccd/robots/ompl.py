@@ -11,7 +11,7 @@ from pgccd.robots.robot import Robot
 from pgccd.robots.validator import MotionValidator
 
 
-class CertifiedMotions(base.MotionValidator):  # type: ignore[misc]
+class CertifiedMotions(base.MotionValidator):
     """OMPL's question whether the straight motion between two states is valid, answered by `pgccd`: only if it is
     certainly free of contact at every time.
 
@@ -32,7 +32,7 @@ class CertifiedMotions(base.MotionValidator):  # type: ignore[misc]
         return self._validator(values_of(start, self._count), values_of(goal, self._count))
 
 
-class StatesWithoutContact(base.StateValidityChecker):  # type: ignore[misc]
+class StatesWithoutContact(base.StateValidityChecker):
     """OMPL's question whether a state is valid: within the bounds of its space, and no two surfaces touch.
 
     Args:

@@ -119,7 +119,7 @@ class MotionValidator:
         """
         return self.check(start, goal).free_until
 
-    def check_states(self, q: Tensor | Sequence[Sequence[float]]) -> Tensor:
+    def check_states(self, q: Tensor | Sequence[Sequence[float]] | Sequence[float]) -> Tensor:
         """Whether no two surfaces touch in configurations, each for itself.
 
         Args:
