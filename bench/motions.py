@@ -89,10 +89,12 @@ def capsule_arm() -> Robot:
             rows = [("v", along), ("f", ball.faces + 1)]
             lines = [f"{kind} {x} {y} {z}" for kind, column in rows for x, y, z in column.tolist()]
             Path(folder, f"{k}.obj").write_text("\n".join(lines))
-            links += f"""<link name="link{k}"><collision><geometry><mesh filename="{folder}/{k}.obj"/></geometry></collision>
-            </link><joint name="joint{k}" type="revolute"><parent link="{f"link{k - 1}" if k else "base"}"/>
-            <child link="link{k}"/><origin xyz="{0.3 if k else 0.0} 0 {0.0 if k else 0.3}"/>
-            <axis xyz="{"0 0 1" if k % 2 == 0 else "0 1 0"}"/>
+            at = f"{0.3 if k else 0.0} 0 {0.0 if k else 0.3}"
+            before, axis = f"link{k - 1}" if k else "base", "0 0 1" if k % 2 == 0 else "0 1 0"
+            links += f"""<link name="link{k}">
+            <collision><geometry><mesh filename="{folder}/{k}.obj"/></geometry></collision></link>
+            <joint name="joint{k}" type="revolute"><parent link="{before}"/><child link="link{k}"/>
+            <origin xyz="{at}"/><axis xyz="{axis}"/>
             <limit lower="-2.9" upper="2.9" effort="1" velocity="1"/></joint>"""
         Path(folder, "arm.urdf").write_text(f'<robot name="capsules">{links}</robot>')
         return load_urdf(Path(folder, "arm.urdf"))
