@@ -4,6 +4,7 @@
 #include "bind/outputs.h"
 #include "kernels/arms/certify.h"
 #include "kernels/arms/kinematics.h"
+#include "kernels/arms/scene_checks.h"
 
 namespace pgccd::bind {
 
@@ -62,7 +63,7 @@ struct ArmOps {
     Arm view = arm_view(arm, 0.0);
     const double* const configurations = rows<double>(q, "q", {kAnySize, kAnySize});
     view.coordinate_count = q.size(1);
-    check_arm(view, arm);
+    check(view, arm);
     const int64_t count = q.size(0);
     Tensor position = new_tensor<double>(q, {count, view.body_count, 3});
     Tensor orientation = new_tensor<double>(q, {count, view.body_count, 4});
@@ -82,7 +83,7 @@ struct ArmOps {
     motions.begin = rows<double>(begin, "begin", {count});
     motions.end = rows<double>(end, "end", {count});
     motions.count = count;
-    check_arm(view, arm);
+    check(view, arm);
     Tensor stray = new_tensor<double>(q0, {count, view.body_count});
     pgccd::arm_strays(Session(q0).context(), view, motions, data<double>(stray));
     return stray;
@@ -97,7 +98,7 @@ struct ArmOps {
     const double* const q = rows<double>(waypoints, "waypoints", {kAnySize, kAnySize, kAnySize});
     const ArmPaths paths{q, waypoints.size(0), waypoints.size(1)};
     scene.arm.coordinate_count = waypoints.size(2);
-    check_arm(scene.arm, arm);
+    check(scene, arm);
     STD_TORCH_CHECK(paths.waypoint_count >= 2, "waypoints: expected two or more, got ", paths.waypoint_count);
     STD_TORCH_CHECK(resolution > 0.0 && resolution <= kLargestLength,
                     "resolution: expected a length in (0, 1e150], got ", resolution);
@@ -117,24 +118,10 @@ struct ArmOps {
   }
 
  private:
-  // Of tensors on the host: that rows which are named are there.
-  static void check_arm(const Arm& arm, const TensorList& tensors) {
-    if (tensors[0].is_cuda()) return;
-    for (int64_t k = 0; k < arm.joint_count; ++k) {
-      const Joint& joint = arm.joints[k];
-      STD_TORCH_CHECK(
-          joint.turns() || joint.slides() ? is_within(joint.coordinate, arm.coordinate_count) : joint.coordinate == -1,
-          "arm.joints: row ", k, ": expected a coordinate of those given, and -1 if it is fixed");
-    }
-    const int64_t size = tensors[4].size(0);
-    for (int64_t body = 0; body <= arm.body_count; ++body) {
-      const int64_t least = body == 0 ? 0 : arm.chain_begin[body - 1];
-      STD_TORCH_CHECK(arm.chain_begin[body] >= least && arm.chain_begin[body] <= size, "arm.chain_begin: row ", body,
-                      ": expected ascending rows of `chain`");
-    }
-    for (int64_t row = 0; row < size; ++row) {
-      STD_TORCH_CHECK(is_within(arm.chain[row], arm.joint_count), "arm.chain: row ", row, ": expected a joint");
-    }
+  // On a GPU the host does not wait for checks of values.
+  template <class View>
+  static void check(const View& view, const TensorList& arm) {
+    if (!arm[0].is_cuda()) require_sound(view, arm[4].size(0));
   }
 };
 

@@ -14,6 +14,7 @@
 #include <string>
 #include <vector>
 
+#include "kernels/arms/scene_checks.h"
 #include "kernels/arms/validator.h"
 
 namespace {
@@ -137,22 +138,13 @@ Arm arm_of(const Tables& t, double room) {
   arm.places = t.rows<JointPlace>(kPlaces, kFloat64, kPlaceColumns, arm.joint_count);
   arm.crossing = t.rows<double>(kCrossing, kFloat64, arm.joint_count, arm.joint_count);
   arm.body_count = t.size(kChainBegin) - 1;
+  if (arm.body_count < 0) refuse(kChainBegin, "expected one row or more");
   arm.chain_begin = t.rows<int32_t>(kChainBegin, kInt32, 1);
   arm.chain = t.rows<int32_t>(kChain, kInt32, 1);
   arm.body_reach = t.rows<double>(kBodyReach, kFloat64, 1, arm.body_count);
   arm.room = room;
   for (int64_t k = 0; k < arm.joint_count; ++k) {
     arm.coordinate_count = std::max<int64_t>(arm.coordinate_count, arm.joints[k].coordinate + 1);
-    if ((arm.joints[k].turns() || arm.joints[k].slides()) != arm.joints[k].moves()) refuse(kJoints, "wrong coordinate");
-  }
-  if (arm.body_count < 0 || arm.chain_begin[0] != 0 || arm.chain_begin[arm.body_count] != t.size(kChain)) {
-    refuse(kChainBegin, "not the rows of the chains");
-  }
-  for (int64_t body = 0; body < arm.body_count; ++body) {
-    if (arm.chain_begin[body] > arm.chain_begin[body + 1]) refuse(kChainBegin, "not ascending");
-  }
-  for (int64_t row = 0; row < t.size(kChain); ++row) {
-    if (!is_within(arm.chain[row], arm.joint_count)) refuse(kChain, "names a joint that is not there");
   }
   return arm;
 }
@@ -175,20 +167,7 @@ ArmScene scene_of(const Tables& t, double room) {
   scene.margin = t.rows<double>(kMargin, kFloat64, 1, count);
   scene.pairs = t.rows<ArmPair>(kPairs, kInt32, kArmPairColumns);
   scene.pair_count = t.size(kPairs);
-  for (int64_t k = 0; k < count; ++k) {
-    if (!is_within(scene.mesh_index[k], scene.meshes.mesh_count)) refuse(kMeshIndex, "names a mesh that is not there");
-  }
-  for (int64_t k = 0; k < scene.pair_count; ++k) {
-    const ArmPair& pair = scene.pairs[k];
-    const bool are_there = is_within(pair.first, scene.arm.body_count) && is_within(pair.second, count);
-    const auto length = [&](int32_t body) {
-      return body < scene.arm.body_count ? scene.arm.chain_begin[body + 1] - scene.arm.chain_begin[body] : 0;
-    };
-    if (!are_there || pair.shared < 0 || pair.shared > length(pair.first) ||
-        (pair.shared > 0 && pair.shared > length(pair.second))) {
-      refuse(kPairs, "names bodies that are not there");
-    }
-  }
+  require_sound(scene, t.size(kChain));
   return scene;
 }
 
