@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -18,7 +19,8 @@ from pgccd.robots.path_search import PathSearch
 from pgccd.robots.robot import Robot
 
 
-class Motion(NamedTuple):
+@dataclass(frozen=True)
+class Motion:
     """What is known of a motion between two configurations.
 
     Attributes:

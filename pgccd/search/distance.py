@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -16,6 +16,7 @@ from pgccd.contacts.kinds import Kind
 from pgccd.contacts.rows import Form, Rows
 from pgccd.contacts.trajectories import time_along
 from pgccd.geometry.scene import Scene
+from pgccd.geometry.scene_columns import integer_column
 from pgccd.motion.of_scene import at_start, in_scene, segments_as_step
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
@@ -68,6 +69,40 @@ class Distances(Rows):
         "converged": (torch.bool, ()),
         "inside": (torch.bool, ()),
     }
+
+    def of_bodies(self, owner: int | Tensor | Sequence[int]) -> tuple[Tensor, Tensor]:
+        """Bounds of the least distance of each body from all others; or of each link, or other group of bodies, from
+        the bodies outside of it.
+
+        Args:
+            owner: N, the number of bodies; or (N,) integers >= 0: the group of each body.
+
+        Returns:
+            lower, upper: (G,) float64, length, by body or group. inf where no pair is listed: it is further than the
+            cutoff from all that was asked for.
+
+        Raises:
+            TypeError, ValueError: `owner` is neither, or has too few bodies for the pairs.
+
+        Example:
+            >>> near = pgccd.distance(scene, motion, cutoff=0.1)
+            >>> lower, upper = near.of_bodies(scene.body_count)
+        """
+        device = self.pairs.device
+        least = int(self.pairs.max()) + 1 if len(self) else 0
+        if isinstance(owner, int):
+            owner = torch.arange(arguments.integer(owner, "owner", 0, "a number of bodies >= 0"), device=device)
+        group = integer_column(owner, "owner", None, device)
+        if len(group) < least or bool((group < 0).any()):
+            raise ValueError(f"owner: expected an integer >= 0 for each of {least} bodies or more, got {owner!r}")
+        of_pairs = group[self.pairs]
+        counted = of_pairs[:, 0] != of_pairs[:, 1]
+        row = of_pairs[counted].T.reshape(-1)
+        found = torch.full((int(group.max()) + 1 if len(group) else 0,), torch.inf, dtype=torch.float64, device=device)
+        lower, upper = (
+            found.scatter_reduce(0, row, bound[counted].repeat(2), "amin") for bound in (self.lower, self.upper)
+        )
+        return lower, upper
 
     def __repr__(self) -> str:
         """The number of pairs, and the bounds of the least distance of all."""

@@ -496,3 +496,31 @@ def test_convergence_is_that_of_the_smaller_body() -> None:
     place = np.array([[0.0, 0, 0], [0.0, 0, 1.3]])
     found = Moving([sheet, tetrahedron()], place, np.tile(UPRIGHT, (2, 1)), place, turn).distance()
     assert 1e-6 < found.upper.item() - found.lower.item() < 1.0 and not found.converged.item()
+
+
+def test_least_distances_of_bodies_and_links(device: torch.device) -> None:
+    """Those of all pairs of a body; of links without pairs of their own bodies."""
+    rng = np.random.default_rng(7)
+    cube = pgccd.Mesh.box([0.1, 0.1, 0.1])
+    scene = pgccd.Scene([cube], [0] * 9, device)
+    x = torch.tensor(np.concatenate([rng.uniform(-1, 1, (8, 3)), [[9.0, 9.0, 9.0]]]), device=device)
+    upright = torch.tensor([[1.0, 0.0, 0.0, 0.0]], dtype=torch.float64, device=device).expand(9, 4)
+    near = pgccd.distance(scene, pgccd.RigidMotion.at_rest(x, upright), cutoff=3.0)
+    lower, upper = near.of_bodies(9)
+    owner = torch.tensor([0, 0, 1, 2, 2, 2, 1, 3, 4])
+    of_links = near.of_bodies(owner)
+    for found, bound in ((lower, near.lower), (upper, near.upper)):
+        for body in range(9):
+            assert float(found[body]) == min(bound[(near.pairs == body).any(dim=1)].tolist(), default=math.inf)
+    groups = owner.to(device)[near.pairs]
+    for found, bound in zip(of_links, (near.lower, near.upper), strict=True):
+        for link in range(5):
+            rows = (groups == link).any(dim=1) & (groups[:, 0] != groups[:, 1])
+            assert float(found[link]) == min(bound[rows].tolist(), default=math.inf)
+    assert math.isinf(float(lower[8])) and bool((lower[:8] <= upper[:8]).all())
+    assert [len(bound) for bound in near[:0].of_bodies(0)] == [0, 0]
+    for wrong in (7, [0] * 7, [-1] * 9):
+        with pytest.raises(ValueError, match="^owner: expected"):
+            near.of_bodies(wrong)
+    with pytest.raises(TypeError, match="^owner: expected integers"):
+        near.of_bodies([0.5] * 9)  # type: ignore[list-item]
