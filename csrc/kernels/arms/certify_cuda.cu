@@ -7,6 +7,8 @@ constexpr int kPathThreads = 64;
 constexpr int kPathWarps = kPathThreads / kWarp;
 // Resident blocks per multiprocessor: searches wait for memory and for one another's lanes more than for registers.
 constexpr int kPathBlocks = 8;
+// Memory of all searches.
+constexpr int64_t kMostBytes = int64_t{1} << 30;
 
 }  // namespace
 
@@ -34,8 +36,11 @@ void certify(const DeviceContext& context, const ArmScene& scene, const ArmPaths
              const PathVerdicts& out) {
   if (paths.path_count == 0) return;
   const int64_t needed = (paths.path_count + kPathWarps - 1) / kPathWarps;
-  const int64_t blocks = smaller<int64_t>(needed, resident_blocks_of(context, certify_kernel, kPathThreads));
   const int64_t bytes = SearchMemory::bytes(scene);
+  // Scenes of very many pairs are searched by fewer warps.
+  const int64_t affordable = larger<int64_t>(kMostBytes / (kPathWarps * bytes), 1);
+  const int64_t resident = resident_blocks_of(context, certify_kernel, kPathThreads);
+  const int64_t blocks = smaller(smaller(needed, resident), affordable);
   auto* const memory = context.allocate<char>(blocks * kPathWarps * bytes);
   auto* const stacks = context.allocate<NodePair>(blocks * kPathWarps * kWarpStack);
   auto* const next = context.allocate<uint32_t>(1);
