@@ -98,6 +98,12 @@ def test_tables_are_checked() -> None:
             motion_library.NativeValidator.of(given, 1, 0.0, 1e-3)
 
 
+def test_cmake_finds_all_sources(tmp_path: Path) -> None:
+    if shutil.which("cmake") is None:
+        pytest.skip("no CMake")
+    subprocess.run(["cmake", "-S", str(HEADER), "-B", str(tmp_path)], check=True)
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(600)
 def test_programs(tmp_path: Path) -> None:
