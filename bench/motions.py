@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import tempfile
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -71,9 +72,8 @@ def measure(name: str, arguments: argparse.Namespace) -> dict[str, Any]:
     for size in BATCHES if arguments.device == "cuda" else BATCHES[:1]:
         some = motions[torch.arange(size) % len(motions)].to(arguments.device)
         found = robot.certify(some, obstacles)
-        least = min(
-            timing.seconds(lambda: robot.certify(some, obstacles), arguments.device)[0] for _ in range(arguments.rounds)
-        )
+        call = partial(robot.certify, some, obstacles)
+        least = min(timing.seconds(call, arguments.device)[0] for _ in range(arguments.rounds))
         row |= {f"{size}: motions a second": round(size / least), "tests a motion": found.steps / size}
     return {key: timing.rounded(value) if isinstance(value, float) else value for key, value in row.items()}
 
