@@ -12,8 +12,8 @@ from pgccd.robots.validator import MotionValidator
 
 
 class CertifiedMotions(base.MotionValidator):
-    """OMPL's question whether the straight motion between two states is valid, answered by `pgccd`: only if it is
-    certainly free of contact at every time.
+    """A motion validator of OMPL: the straight motion between two states is valid if it is certainly free of contact at
+    every time.
 
     Args:
         space_information: of a `RealVectorStateSpace` with a dimension for each joint of the robot.
@@ -28,12 +28,12 @@ class CertifiedMotions(base.MotionValidator):
         self._validator, self._count = validator, space_information.getStateDimension()
 
     def checkMotion(self, start: Any, goal: Any) -> bool:  # noqa: N802
-        """As OMPL asks: whether the motion is valid. The start is known to be."""
+        """Whether the motion is valid; OMPL calls it with a valid start."""
         return self._validator(values_of(start, self._count), values_of(goal, self._count))
 
 
 class StatesWithoutContact(base.StateValidityChecker):
-    """OMPL's question whether a state is valid: within the bounds of its space, and no two surfaces touch.
+    """A state validity checker of OMPL: a state is valid within the bounds of its space if no two surfaces touch.
 
     Args:
         space_information: as of `CertifiedMotions`.
@@ -49,7 +49,7 @@ class StatesWithoutContact(base.StateValidityChecker):
         self._count = space_information.getStateDimension()
 
     def isValid(self, state: Any) -> bool:  # noqa: N802
-        """As OMPL asks."""
+        """Whether the state is valid."""
         if not self._information.satisfiesBounds(state):
             return False
         return bool(self._validator.check_states(values_of(state, self._count)))
@@ -58,14 +58,14 @@ class StatesWithoutContact(base.StateValidityChecker):
 def use(
     space_information: Any, robot: Robot, obstacles: Obstacles | None = None, *, resolution: float | None = None
 ) -> MotionValidator:
-    """Makes the planners of a space ask pgccd. Planners then run on one thread.
+    """Sets a motion validator and a state validity checker of pgccd. Planners then run on one thread.
 
     Args:
         space_information: of a `RealVectorStateSpace` with a dimension for each joint of the robot.
         robot, obstacles, resolution: as of `Robot.motion_validator`.
 
     Returns:
-        The validator that is asked.
+        The validator that both use.
 
     Raises:
         ValueError: the space has another dimension than the robot has joints.

@@ -25,8 +25,8 @@ class Motion:
 
     Attributes:
         verdict: as of `certify`, but `COLLISION` is not told apart from `NEAR`.
-        free_until: the part of the motion, in [0, 1], before which it is certainly free of contact, as OMPL asks: 1
-            only if all of it is, the goal included; 0 if the start is not, or the verdict is `UNDECIDED`.
+        free_until: the part of the motion, in [0, 1], before which it is certainly free of contact, as OMPL defines it:
+            1 only if all of it is, the goal included; 0 if the start is not, or the verdict is `UNDECIDED`.
         names: of the link and of the link or obstacle that meet there; empty if nothing does.
         point: (x, y, z) where they meet, world frame; nan if nothing does.
     """
@@ -40,9 +40,9 @@ class Motion:
 class MotionValidator:
     """Straight motions in joint space between two configurations, made by `Robot.motion_validator`.
 
-    Called with two configurations (J,), it says whether the motion between them is certainly free of contact. It works
-    on a CPU, and keeps what it learns of pairs of bodies: verdicts do not depend on it. One thread uses it; `clone`
-    makes another one for another thread. Calls leave Python free for other threads.
+    Called with two configurations (J,), it says whether the motion between them is certainly free of contact. It runs
+    on a CPU. It keeps certified distances of pairs of bodies between calls; verdicts do not depend on them. One thread
+    uses it; `clone` makes another one for another thread. Calls release the global interpreter lock.
 
     Example:
         >>> is_valid = robot.motion_validator(obstacles)

@@ -129,7 +129,20 @@ void check_known_distances() {
   }
 }
 
+// Balls that touch, far from the origin too, and what is no number.
+void check_balls() {
+  for (const double far : {0.0, 1.0, 1e9}) {
+    const Ball one{{far, far, 0.3}, 0.1}, other{{far, far + 3.0, 4.3}, 4.7};
+    EXPECT(may_meet(one, other, 0.2));
+    EXPECT(!may_meet(one, other, 0.2 - 1e-3));
+  }
+  const double nan = std::nan("");
+  EXPECT(may_meet({{nan, 0, 0}, 0.1}, {{9, 9, 9}, 0.1}, 0.0));
+  EXPECT(may_meet({{0, 0, 0}, nan}, {{9, 9, 9}, 0.1}, 0.0));
+}
+
 int main() {
+  check_balls();
   check_known_distances();
   const double half = 0.5 * (1.0 - kContactTolerance);
   EXPECT(is_fine({0, 0, 0.0, 1.0}, half, 1.0) && !is_fine({0, 0, 0.0, 1.0}, half * (1.0 + 1e-9), 1.0));

@@ -124,10 +124,7 @@ class PathSearch {
 
   // By the spheres of two bodies; first by balls around their whole ways, which reject most pairs.
   PGCCD_TARGET bool may_meet(const ArmPair& pair) const {
-    const Ball &one = memory_.balls[pair.first], &other = memory_.balls[pair.second];
-    const double reach = (one.radius + other.radius + spheres_.tolerance) * (1.0 + 0x1p-40) +
-                         0x1p-48 * (max_abs(one.centre) + max_abs(other.centre));
-    return norm_squared(other.centre - one.centre) <= reach * reach &&
+    return pgccd::may_meet(memory_.balls[pair.first], memory_.balls[pair.second], spheres_.tolerance) &&
            spheres_may_meet(spheres_, pair.first, pair.second);
   }
 

@@ -63,6 +63,13 @@ struct Ball {
   double radius;
 };
 
+// False only if two balls are certainly further apart than the tolerance; NaN keeps a pair.
+PGCCD_HD bool may_meet(const Ball& one, const Ball& other, double tolerance) {
+  const double reach = (one.radius + other.radius + tolerance) * (1.0 + 0x1p-40) +
+                       0x1p-48 * (max_abs(one.centre) + max_abs(other.centre));
+  return !(norm_squared(other.centre - one.centre) > reach * reach);
+}
+
 struct OpenSpan {
   double begin, end;
 };

@@ -7,7 +7,7 @@
 
 #include "kernels/device_context.h"
 #include "kernels/executor.h"
-#include "kernels/narrow/contact_item.h"
+#include "kernels/narrow/candidate_item.h"
 #include "kernels/narrow/elementary_item.h"
 #include "kernels/narrow/pair_contact.h"
 
@@ -115,10 +115,6 @@ ContactRows solve_candidates(const Executor& executor, const Bodies& bodies, con
 // The contact to report of candidates of a single pair, input.pairs, which are all sound: on the calling thread.
 template <class Bodies>
 PairContact contact_of_pair(const Bodies& bodies, const NarrowInput& input);
-
-// Where a contact of a pair is.
-template <class Bodies>
-ContactPlace place_of_contact(const Bodies& bodies, int64_t i, int64_t j, const PairContact& contact);
 
 // The first contact of each pair, of two lists by pair with one row each; without those of `one` after a time of its
 // pair.

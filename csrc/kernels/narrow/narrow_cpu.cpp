@@ -177,13 +177,7 @@ PairContact contact_of_pair(const Bodies& bodies, const NarrowInput& input) {
   return best;
 }
 
-template <class Bodies>
-ContactPlace place_of_contact(const Bodies& bodies, int64_t i, int64_t j, const PairContact& contact) {
-  return contact_place(bodies, PairOf<Bodies>(bodies, i, j), contact.candidate, contact.outcome.toi);
-}
-
 template PairContact contact_of_pair(const RigidBodies&, const NarrowInput&);
-template ContactPlace place_of_contact(const RigidBodies&, int64_t, int64_t, const PairContact&);
 
 namespace {
 
