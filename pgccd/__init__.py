@@ -18,6 +18,7 @@ from pgccd.geometry.mesh_set import MeshSet
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.rotation import integrate_orientation
+from pgccd.motion.splines import Spline
 from pgccd.motion.trajectory import Trajectory
 from pgccd.resolution.resolve import resolve
 from pgccd.resolution.results import PaddedResolution, Resolution
@@ -64,6 +65,7 @@ __all__ = [
     "Resolution",
     "RigidMotion",
     "Scene",
+    "Spline",
     "Stats",
     "Status",
     "Touching",

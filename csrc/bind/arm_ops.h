@@ -57,6 +57,17 @@ inline ArmScene arm_scene_view(const TensorList& mesh_set, const TensorList& arm
   return scene;
 }
 
+// control (paths, control points, coordinates).
+inline ArmPaths paths_view(const Tensor& control, int64_t degree, double error) {
+  const double* const q = rows<double>(control, "control", {kAnySize, kAnySize, kAnySize});
+  STD_TORCH_CHECK(degree >= 1 && degree <= kMostDegree, "degree: expected 1 to ", kMostDegree, ", got ", degree);
+  STD_TORCH_CHECK(error >= 0.0 && error <= kLargestJointValue, "error: expected a number in [0, 1e6], got ", error);
+  const int64_t count = control.size(1);
+  STD_TORCH_CHECK(count > degree && (count - 1) % degree == 0, "control: expected a multiple of ", degree,
+                  " and one control points, got ", count);
+  return {q, control.size(0), count, static_cast<int32_t>(degree), error};
+}
+
 template <class Session>
 struct ArmOps {
   static std::tuple<Tensor, Tensor> arm_poses(const TensorList& arm, const Tensor& q) {
@@ -72,46 +83,50 @@ struct ArmOps {
     return {position, orientation};
   }
 
-  static Tensor arm_strays(const TensorList& arm, const Tensor& q0, const Tensor& q1, const Tensor& begin,
-                           const Tensor& end) {
+  using Arcs = std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor>;
+
+  static Arcs arm_arcs(const TensorList& arm, const Tensor& control, double error, const Tensor& begin,
+                       const Tensor& end) {
     Arm view = arm_view(arm, 0.0);
-    const int64_t count = q0.size(0);
-    ArmMotions motions{};
-    motions.q0 = rows<double>(q0, "q0", {kAnySize, kAnySize});
-    view.coordinate_count = q0.size(1);
-    motions.q1 = rows<double>(q1, "q1", {count, view.coordinate_count});
-    motions.begin = rows<double>(begin, "begin", {count});
-    motions.end = rows<double>(end, "end", {count});
-    motions.count = count;
+    const ArmPaths paths = paths_view(control, control.size(1) - 1, error);
+    view.coordinate_count = control.size(2);
+    const int64_t count = paths.path_count, bodies = view.body_count;
+    const ArmSpans spans{paths, rows<double>(begin, "begin", {count}), rows<double>(end, "end", {count})};
     check(view, arm);
-    Tensor stray = new_tensor<double>(q0, {count, view.body_count});
-    pgccd::arm_strays(Session(q0).context(), view, motions, data<double>(stray));
-    return stray;
+    Tensor position_t0 = new_tensor<double>(control, {count, bodies, 3});
+    Tensor position_t1 = new_tensor<double>(control, {count, bodies, 3});
+    Tensor orientation = new_tensor<double>(control, {count, bodies, 4});
+    Tensor rotation = new_tensor<double>(control, {count, bodies, 3});
+    Tensor stray = new_tensor<double>(control, {count, bodies});
+    pgccd::arm_arcs(Session(control).context(), view, spans,
+                    {{data<double>(position_t0), data<double>(orientation)},
+                     data<double>(position_t1),
+                     data<double>(rotation),
+                     data<double>(stray)});
+    return {position_t0, position_t1, orientation, rotation, stray};
   }
 
   using Verdicts = std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor, Tensor>;
 
   static Verdicts certify_paths(const TensorList& mesh_set, const TensorList& arm, const TensorList& bodies,
-                                const TensorList& obstacles, bool obstacles_move, double room, const Tensor& waypoints,
-                                double resolution) {
+                                const TensorList& obstacles, bool obstacles_move, double room, const Tensor& control,
+                                int64_t degree, double error, double resolution) {
     ArmScene scene = arm_scene_view(mesh_set, arm, bodies, obstacles, obstacles_move, room);
-    const double* const q = rows<double>(waypoints, "waypoints", {kAnySize, kAnySize, kAnySize});
-    const ArmPaths paths{q, waypoints.size(0), waypoints.size(1)};
-    scene.arm.coordinate_count = waypoints.size(2);
+    const ArmPaths paths = paths_view(control, degree, error);
+    scene.arm.coordinate_count = control.size(2);
     check(scene, arm);
-    STD_TORCH_CHECK(paths.waypoint_count >= 2, "waypoints: expected two or more, got ", paths.waypoint_count);
     STD_TORCH_CHECK(resolution > 0.0 && resolution <= kLargestLength,
                     "resolution: expected a length in (0, 1e150], got ", resolution);
     const int64_t rows_needed =
-        scene.obstacles.move ? paths.waypoint_count - 1 : (scene.obstacles.row_count == 1 ? 1 : paths.path_count);
+        scene.obstacles.move ? paths.segment_count() : (scene.obstacles.row_count == 1 ? 1 : paths.path_count);
     STD_TORCH_CHECK(scene.obstacles.row_count == rows_needed, "obstacles: expected ", rows_needed, " rows, got ",
                     scene.obstacles.row_count);
     const int64_t count = paths.path_count;
-    Tensor verdict = new_tensor<int8_t>(waypoints, {count}), segment = new_tensor<int64_t>(waypoints, {count});
-    Tensor toi = new_tensor<double>(waypoints, {count}), both = new_tensor<int32_t>(waypoints, {count, 2});
-    Tensor point = new_tensor<double>(waypoints, {count, 3});
-    Tensor counts = new_tensor<int64_t>(waypoints, {count, int64_t{kArmCounts}});
-    pgccd::certify(Session(waypoints).context(), scene, paths, resolution,
+    Tensor verdict = new_tensor<int8_t>(control, {count}), segment = new_tensor<int64_t>(control, {count});
+    Tensor toi = new_tensor<double>(control, {count}), both = new_tensor<int32_t>(control, {count, 2});
+    Tensor point = new_tensor<double>(control, {count, 3});
+    Tensor counts = new_tensor<int64_t>(control, {count, int64_t{kArmCounts}});
+    pgccd::certify(Session(control).context(), scene, paths, resolution,
                    {data<int8_t>(verdict), data<int64_t>(segment), data<double>(toi), data<int32_t>(both),
                     data<double>(point), data<int64_t>(counts)});
     return {verdict, segment, toi, both, point, counts};
@@ -129,7 +144,7 @@ template <class Session>
 void register_arm_ops(Library& library) {
   using Ops = ArmOps<Session>;
   library.impl("arm_poses", PGCCD_BOX(Ops::arm_poses));
-  library.impl("arm_strays", PGCCD_BOX(Ops::arm_strays));
+  library.impl("arm_arcs", PGCCD_BOX(Ops::arm_arcs));
   library.impl("certify_paths", PGCCD_BOX(Ops::certify_paths));
 }
 

@@ -37,10 +37,13 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
   // i32]; obstacles = [position_t0 (R, M, 3), position_t1, orientation (R, M, 4), rotation, error (M,)], f64: see
   // kernels/arms/arm.h.
   library.def("arm_poses(Tensor[] arm, Tensor q) -> (Tensor position, Tensor orientation)");
-  library.def("arm_strays(Tensor[] arm, Tensor q0, Tensor q1, Tensor begin, Tensor end) -> Tensor");
+  library.def(
+      "arm_arcs(Tensor[] arm, Tensor control, float error, Tensor begin, Tensor end) -> (Tensor position_t0, "
+      "Tensor position_t1, Tensor orientation, Tensor rotation, Tensor stray)");
   library.def(
       "certify_paths(Tensor[] mesh_set, Tensor[] arm, Tensor[] bodies, Tensor[] obstacles, bool obstacles_move, "
-      "float room, Tensor waypoints, float resolution) -> (Tensor verdict, Tensor segment, Tensor toi, "
+      "float room, Tensor control, int degree, float error, float resolution) -> (Tensor verdict, Tensor segment, "
+      "Tensor toi, "
       "Tensor bodies, Tensor point, Tensor counts)");
   library.def("rotations_between(Tensor orientation_t0, Tensor orientation_t1) -> Tensor");
   library.def(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -15,6 +16,7 @@ from pgccd.arguments import real_rows
 from pgccd.geometry.scene_columns import sum_of_margins
 from pgccd.motion.paths import PATHS, PathKind, RigidMotion, VertexMotion
 from pgccd.motion.rotation import rotated
+from pgccd.motion.splines import Spline
 from pgccd.motion.validation import MARGIN, Checked, check_of, columns_checked, first_invalid_rows
 from pgccd.motion.vectors import norm
 
@@ -23,6 +25,10 @@ from pgccd.motion.vectors import norm
 _ROUNDING = 64.0
 # Units in the last place of what may be given.
 _UNITS = (torch.finfo(torch.float64).eps, torch.finfo(torch.float32).eps)
+# Of lengths of vectors.
+_SUM_ROUNDING = 1.0 + 2.0**-40
+_MOST_WAYPOINTS = 1_000_000
+_NO_ROTATION = "rotation: expected an orientation beside it; vertices of deforming bodies do not turn"
 _COLUMNS = ("position", "orientation", "rotation", "margin")
 
 
@@ -80,7 +86,7 @@ class Trajectory:
         self.position, self.rotation, self.margin = position, rotation, margin
         self._is_of_float32 = arguments.is_float32(position)
         if rotation is not None and orientation is None:
-            raise ValueError("rotation: expected an orientation beside it; vertices of deforming bodies do not turn")
+            raise ValueError(_NO_ROTATION)
         if rotation is not None and isinstance(orientation, Tensor) and orientation.dim() == 2:
             self.position = _waypoints(position, "position", 3, None)
             self._note_rounding(orientation, rotation)
@@ -155,6 +161,76 @@ class Trajectory:
         turn = Checked("angular_velocity", rotation.flatten(0, 1), check_of("rotation"), "body")
         _raise_invalid([turn], "segment", 0, len(start))
         return cls(position, turned, path, rotation=rotation, margin=margin)
+
+    @classmethod
+    def from_spline(
+        cls,
+        position: Spline,
+        orientation: Tensor | None = None,
+        *,
+        stray: float,
+        rotation: Tensor | None = None,
+        vertex_counts: Sequence[int] | None = None,
+    ) -> Trajectory:
+        """From splines of positions: with so many waypoints that straight lines between them are within `stray` of the
+        curves, and that distance as margin, so that no contact of the curves is missed.
+
+        Each of the S segments of the spline becomes `segment_count / S` segments of equal duration.
+
+        Args:
+            position: of the meshes' origins (N, 3), world frame, length units; or, without `orientation`, of the
+                vertices (X, 3) of deforming bodies.
+            orientation: (S + 1, N, 4) unit quaternions (w, x, y, z) at the breakpoints, between which bodies rotate at
+                constant rates, the shorter way; or (N, 4) at the first one.
+            stray: length > 0.
+            rotation: (S, N, 3) as for the constructor; without it, orientation (N, 4) stays.
+            vertex_counts: (N,) numbers of vertices of deforming bodies. Default: one body.
+
+        Raises:
+            TypeError, ValueError: naming the argument; or more than a million waypoints were needed.
+
+        Example:
+            >>> curve = pgccd.Spline(torch.tensor([[[0.0, 0, 0]], [[0.0, 1, 0]], [[1.0, 1, 0]]]), degree=2)
+            >>> path = pgccd.Trajectory.from_spline(curve, torch.tensor([[1.0, 0, 0, 0]]), stray=0.01)
+            >>> path.segment_count, bool((path.margin < 0.011).all())
+            (6, True)
+        """
+        arguments.instance(position, "position", Spline)
+        if position.control.dim() != 3 or position.control.shape[2] != 3:
+            raise ValueError(f"position: expected a spline of values (N, 3), got {position}")
+        wanted = arguments.length(stray, "stray")
+        if not wanted > 0.0:
+            raise ValueError(f"stray: expected a length > 0, got {stray}")
+        off = norm(position._divided(1)[1])
+        parts = max(1, math.ceil(math.sqrt(float(off.max()) / wanted)))
+        if parts * position.segment_count > _MOST_WAYPOINTS:
+            raise ValueError(
+                f"stray: expected a larger length than {stray}, for which {parts} parts are needed of each"
+            )
+        values, off = position._divided(parts)
+        margin = norm(off) * _SUM_ROUNDING
+        if orientation is None:
+            if rotation is not None:
+                raise ValueError(_NO_ROTATION)
+            sizes = [margin.shape[1]] if vertex_counts is None else list(vertex_counts)
+            if sum(sizes) != margin.shape[1] or min(sizes) < 1:
+                raise ValueError(f"vertex_counts: expected numbers of {margin.shape[1]} vertices, got {sizes}")
+            return cls(values, margin=torch.stack([part.amax(dim=1) for part in margin.split(sizes, dim=1)], dim=1))
+        if rotation is None and isinstance(orientation, Tensor) and orientation.dim() == 2:
+            orientation = orientation.expand(position.segment_count + 1, -1, -1)
+        ends = cls(values[::parts], orientation, rotation=rotation)
+        ends._refuse_gradient()
+        assert ends.orientation is not None
+        steps = ends.steps()
+        times = torch.tensor([k / parts for k in range(parts)], dtype=torch.float64, device=ends.device)
+        assert isinstance(steps, RigidMotion)
+        turned = steps.at(times[:, None])[1].view(parts, position.segment_count, -1, 4).transpose(0, 1).flatten(0, 1)
+        part = (
+            None
+            if ends.rotation is None
+            else (ends.rotation / torch.full_like(ends.rotation, parts)).repeat_interleave(parts, dim=0)
+        )
+        return cls(values, torch.cat([turned, ends.orientation[-1:]]), rotation=part, margin=margin)
 
     def _note_rounding(self, *columns: Tensor | None) -> None:
         given = [column.dtype for column in columns if isinstance(column, Tensor) and column.is_floating_point()]

@@ -3,7 +3,7 @@
 The operators check shapes and dtypes; the stage modules that call these wrappers document meaning and units.
 """
 
-from pgccd.ops.arms import arm_poses, arm_strays, certify_paths
+from pgccd.ops.arms import arm_arcs, arm_poses, certify_paths
 from pgccd.ops.contacts import certainly_recede, closing_rates, surface_normals
 from pgccd.ops.detection import (
     ContactRows,

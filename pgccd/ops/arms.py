@@ -21,12 +21,17 @@ def arm_poses(arm: Arm, q: Tensor) -> tuple[Tensor, Tensor]:
 
 
 @operator
-def arm_strays(arm: Arm, q0: Tensor, q1: Tensor, begin: Tensor, end: Tensor) -> Tensor:
-    """(K, N): how far points of bodies stray, at most, from the arcs between their poses at times `begin` and `end`
-    (K,), while joints move from q0 to q1 (K, J) at constant rates; rounding of poses included. Joints of a chain turn
-    by at most 1 rad between, added. If both times are equal: the error of the poses.
+def arm_arcs(
+    arm: Arm, control: Tensor, error: float, begin: Tensor, end: Tensor
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """Arcs of bodies between their poses at times `begin` and `end` (K,) of segments, whose joint values are Bernstein
+    polynomials with control points (K, D + 1, J), up to `error`: position_t0, position_t1 (K, N, 3), orientation
+    (K, N, 4), rotation (K, N, 3), and stray (K, N): how far points of the bodies are from the arcs, at most, rounding
+    included. Joints of a chain turn by at most 1 rad between, added. If both times are equal: the error of the poses.
     """
-    return float64(q0, q0.shape[0], arm[3].shape[0] - 1)
+    count, bodies = control.shape[0], arm[3].shape[0] - 1
+    columns = [float64(control, count, bodies, width) for width in (3, 3, 4, 3)]
+    return columns[0], columns[1], columns[2], columns[3], float64(control, count, bodies)
 
 
 @operator
@@ -37,10 +42,13 @@ def certify_paths(
     obstacles: Sequence[Tensor],
     obstacles_move: bool,
     room: float,
-    waypoints: Tensor,
+    control: Tensor,
+    degree: int,
+    error: float,
     resolution: float,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """Whether paths, waypoints (B, T, J), are free of contact: verdict (B,) int8 as `pgccd.robots.Verdict`; segment
+    """Whether paths are free of contact, whose segments are Bernstein polynomials with control points (B, S degree + 1,
+    J), up to `error`; of degree 1 with waypoints (B, T, J): verdict (B,) int8 as `pgccd.robots.Verdict`; segment
     (B,) int64 and toi (B,) of the first contact; the bodies (B, 2) int32 that meet, -1 for none; the point (B, 3); and
     counts (B, 4) int64: of parts of segments, of body pairs over such parts, of node tests and of feature pairs.
 
@@ -49,12 +57,12 @@ def certify_paths(
     orientation (R, M, 4), rotation (R, M, 3), error (M,); a row is a path, or, if they move, a segment; or there is one
     for all.
     """
-    count = waypoints.shape[0]
+    count = control.shape[0]
     return (
-        waypoints.new_empty((count,), dtype=torch.int8),
-        int64(waypoints, count),
-        float64(waypoints, count),
-        waypoints.new_empty((count, 2), dtype=torch.int32),
-        float64(waypoints, count, 3),
-        int64(waypoints, count, 4),
+        control.new_empty((count,), dtype=torch.int8),
+        int64(control, count),
+        float64(control, count),
+        control.new_empty((count, 2), dtype=torch.int32),
+        float64(control, count, 3),
+        int64(control, count, 4),
     )

@@ -5,6 +5,7 @@ Files are read by yourdfpy and MuJoCo (`pip install 'pgccd[robots]'`).
 """
 
 from pgccd.robots.certificate import Certificate, Verdict
+from pgccd.robots.clearance import Clearance, clearance
 from pgccd.robots.mjcf import load_mjcf
 from pgccd.robots.obstacles import Obstacles
 from pgccd.robots.path_search import certify
@@ -14,12 +15,14 @@ from pgccd.robots.validator import Motion, MotionValidator
 
 __all__ = [
     "Certificate",
+    "Clearance",
     "Motion",
     "MotionValidator",
     "Obstacles",
     "Robot",
     "Verdict",
     "certify",
+    "clearance",
     "load_mjcf",
     "load_urdf",
 ]

@@ -135,19 +135,31 @@ class Certificate(Rows):
             >>> robot.certify(torch.zeros(1, 2, robot.joint_count)).names(0)
             ()
         """
-        links = self.links[environment].tolist()
-        if links[0] == len(self.link_names):
-            return ()
-        return tuple(self.link_names[k] if k >= 0 else self._obstacle(-1 - k) for k in links)
-
-    def _obstacle(self, number: int) -> str:
-        return self.obstacle_names[number] if number < len(self.obstacle_names) else f"obstacle {number}"
+        return names_in(self.links[environment], self.link_names, self.obstacle_names)
 
     def __repr__(self) -> str:
         counts = [f"{v.name.lower()}={n}" for v in Verdict if (n := int((self.verdict == int(v)).sum()))]
         if sampled := sum(why.startswith("sampled") for _, _, why in self.untested):
             counts.append(f"untested_sampled={sampled}")
         return f"Certificate({', '.join([f'environments={len(self)}', *counts])})"
+
+
+def links_of(pairs: Tensor, robot: Robot) -> Tensor:
+    """(B, 2) int64, of pairs of bodies (B, 2), -1 for none: a link, or -1 - k for obstacle k; the number of links for
+    none.
+    """
+    own, link = robot.body_count, robot.body_link.to(pairs.device)
+    links = torch.where(pairs < own, link[pairs.clamp(0, own - 1).long()], own - 1 - pairs)
+    return torch.where(pairs < 0, len(robot.link_names), links)
+
+
+def names_in(links: Tensor, link_names: Sequence[str], obstacle_names: Sequence[str]) -> tuple[str, ...]:
+    """The names of two links or obstacles (2,), numbered as in results; empty if there are none."""
+    numbers = links.tolist()
+    if numbers[0] == len(link_names):
+        return ()
+    obstacles = {-1 - k: name for k, name in enumerate(obstacle_names)}
+    return tuple(link_names[k] if k >= 0 else obstacles.get(k, f"obstacle {-1 - k}") for k in numbers)
 
 
 def names_of(robot: Robot, obstacles: Obstacles | None) -> dict[str, Any]:

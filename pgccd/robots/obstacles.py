@@ -142,6 +142,24 @@ class Obstacles:
         )
         return [position, position, orientation, torch.zeros_like(position), self._error]
 
+    def _arcs(self, paths: Tensor, segments: Tensor, begin: Tensor, end: Tensor) -> tuple[Tensor, ...]:
+        """Arcs over parts of segments, from times `begin` to `end` (K,) of segments (K,) of paths (K,): position_t0,
+        position_t1 (K, M, 3), orientation (K, M, 4), rotation (K, M, 3), and by how much points are beside them (K, M).
+        """
+        device = begin.device
+        x0, x1, r, rotation, error = (column.to(device) for column in self.columns())
+        error = error.expand(len(begin), -1)
+        if self.motion is None:
+            rows = paths if self.environments is not None else torch.zeros_like(paths)
+            return x0[rows], x1[rows], r[rows], rotation[rows], error
+        start, turned, goal, turn = (column[segments].flatten(0, 1) for column in (x0, r, x1, rotation))
+        steps = RigidMotion.from_rotation(start, turned, goal, turn)
+        times = (time.repeat_interleave(self.count) for time in (begin, end))
+        (x0, r), (x1, _) = (steps.at(time) for time in times)
+        part = (end - begin)[:, None, None] * rotation[segments]
+        shape = (len(begin), self.count, -1)
+        return x0.reshape(shape), x1.reshape(shape), r.reshape(shape), part, error
+
     def __repr__(self) -> str:
         moving = "" if self.motion is None else f", moving={int(self.moves.sum())}"
         return f"Obstacles(count={self.count}, environments={self.environments}{moving})"

@@ -7,21 +7,24 @@ from torch import Tensor
 
 from pgccd import arguments, ops
 from pgccd.contacts.trajectories import time_along
-from pgccd.robots.certificate import Certificate, Verdict, names_of
+from pgccd.motion.splines import Spline
+from pgccd.robots.certificate import Certificate, Verdict, links_of, names_of
+from pgccd.robots.joint_paths import JointPaths
 from pgccd.robots.obstacles import Obstacles
 from pgccd.robots.robot import Robot
 from pgccd.robots.tables import scene_tables
 
-# The default resolution, in units of the robot's reach.
-_RESOLUTION = 1e-3
+#: The default resolution, in units of the robot's reach.
+RESOLUTION = 1e-3
 
 
 def certify(
-    robot: Robot, q: Tensor, obstacles: Obstacles | None = None, *, resolution: float | None = None
+    robot: Robot, q: Tensor | Spline, obstacles: Obstacles | None = None, *, resolution: float | None = None
 ) -> Certificate:
     """Whether paths in joint space are free of contact, of links with obstacles and with each other, at every time
-    between waypoints. Joints move at constant rates from one waypoint to the next. Nothing is missed, rounding
-    included: a path is `free` only if no two surfaces have a common point on it, and `time` is never late.
+    between waypoints. Joints move at constant rates from one waypoint to the next, or follow splines. Nothing is
+    missed, rounding included: a path is `free` only if no two surfaces have a common point on it, and `time` is never
+    late.
 
     Links do not move on arcs. The bound of how far they stray from them is given as margin, and steps that do not clear
     with it are split: until they clear, or a pair is certainly within `resolution` of each other. See
@@ -35,7 +38,8 @@ def certify(
 
     Args:
         robot: the robot.
-        q: (B, T, J) configurations, radians or length units: B paths of T waypoints, in environments of their own.
+        q: (B, T, J) configurations, radians or length units: B paths of T waypoints, in environments of their own. Or a
+            spline of configurations (B, J), or (J,) of one path.
         obstacles: the same for all paths, or of each environment.
         resolution: length > 0: paths on which two surfaces come as near as this may be reported as not free (`NEAR`).
             Default: a thousandth of the robot's reach.
@@ -64,9 +68,7 @@ class PathSearch:
         if scene.margin is not None:
             arguments.refuse_gradient(scene.margin, "margin")
         self.robot, self.obstacles = robot, obstacles
-        self.resolution = (
-            _RESOLUTION * robot.reach if resolution is None else arguments.length(resolution, "resolution")
-        )
+        self.resolution = RESOLUTION * robot.reach if resolution is None else arguments.length(resolution, "resolution")
         if not self.resolution > 0.0:
             raise ValueError(f"resolution: expected a length > 0, got {resolution}")
         of_obstacles = _no_obstacles() if obstacles is None else obstacles.columns()
@@ -74,41 +76,48 @@ class PathSearch:
             scene.device: (scene.meshes.tensors, scene_tables(scene, robot._tables), of_obstacles)
         }
 
-    def certify(self, q: Tensor) -> Certificate:
-        """As `pgccd.robots.certify`."""
-        robot, obstacles = self.robot, self.obstacles
-        q = robot._configurations(q, "q")
-        arguments.refuse_gradient(q, "q")
-        if q.dim() != 3 or q.shape[1] < 2:
-            raise ValueError(f"q: expected shape (B, T, {robot.joint_count}) with T >= 2, got {tuple(q.shape)}")
-        given = None if obstacles is None else obstacles.environments
-        if given not in (None, len(q)):
-            raise ValueError(f"q: expected {given} environments, as the obstacles have, got {len(q)}")
-        motion = None if obstacles is None else obstacles.motion
-        if motion is not None and motion.segment_count != q.shape[1] - 1:
+    def paths(self, q: Tensor | Spline) -> JointPaths:
+        """Paths, as many and of as many segments as the obstacles have.
+
+        Raises:
+            TypeError, ValueError: they are something else.
+        """
+        paths = JointPaths.of(self.robot, q)
+        given = None if self.obstacles is None else self.obstacles.environments
+        if given not in (None, len(paths.control)):
+            raise ValueError(f"q: expected {given} environments, as the obstacles have, got {len(paths.control)}")
+        motion = None if self.obstacles is None else self.obstacles.motion
+        if motion is not None and motion.segment_count != paths.segment_count:
             raise ValueError(
-                f"q: expected {motion.segment_count + 1} waypoints, as the obstacles have, got {q.shape[1]}"
+                f"q: expected {motion.segment_count + 1} waypoints, as the obstacles have, got "
+                f"{paths.segment_count + 1}"
             )
-        mesh_set, bodies, of_obstacles = self._tensors_on(q.device)
+        return paths
+
+    def certify(self, q: Tensor | Spline) -> Certificate:
+        """As `pgccd.robots.certify`."""
+        robot, obstacles, paths = self.robot, self.obstacles, self.paths(q)
+        motion, device = None if obstacles is None else obstacles.motion, paths.control.device
+        mesh_set, bodies, of_obstacles = self._tensors_on(device)
         verdict, segment, toi, pair, point, counts = ops.certify_paths(
             mesh_set,
-            robot._tables.on(q.device),
+            robot._tables.on(device),
             bodies,
             of_obstacles,
             motion is not None,
             robot._room,
-            q,
+            paths.control,
+            paths.degree,
+            paths.error,
             self.resolution,
         )
         is_contact = (verdict == int(Verdict.COLLISION)) | (verdict == int(Verdict.NEAR))
-        own, link = robot.body_count, robot.body_link.to(q.device)
-        links = torch.where(pair < own, link[pair.clamp(0, own - 1).long()], own - 1 - pair)
         return Certificate(
             verdict=verdict,
-            time=torch.where(is_contact, time_along(segment, toi, q.shape[1] - 1), toi),
+            time=torch.where(is_contact, time_along(segment, toi, paths.segment_count), toi),
             segment=segment,
             toi=toi,
-            links=torch.where(pair < 0, len(robot.link_names), links),
+            links=links_of(pair, robot),
             point=point,
             steps=int(counts[:, 1].sum()),
             **names_of(robot, obstacles),

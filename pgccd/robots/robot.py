@@ -17,17 +17,20 @@ from pgccd.geometry.mesh import Mesh
 from pgccd.geometry.scene import Scene
 from pgccd.motion.of_scene import repeated
 from pgccd.motion.paths import RigidMotion
+from pgccd.motion.splines import Spline
 from pgccd.motion.trajectory import Trajectory
 from pgccd.robots.attached import Attached
+from pgccd.robots.joint_paths import JointPaths
 from pgccd.robots.kinematics import Joint, Tree
 from pgccd.robots.obstacles import Obstacles
 from pgccd.robots.shapes import PLANE, ThickSurface, joined
-from pgccd.robots.tables import LARGEST_VALUE, LONGEST_TURN, MOST_TURN, ArmTables
+from pgccd.robots.tables import MOST_TURN, ArmTables
 from pgccd.robots.untested import LeftOut, WhyUntested, sorted_pairs
 from pgccd.search.detect import collide
 
 if TYPE_CHECKING:
     from pgccd.robots.certificate import Certificate
+    from pgccd.robots.clearance import Clearance
     from pgccd.robots.validator import MotionValidator
 
 #: Name, frame and surfaces, in the frame, of a link.
@@ -445,52 +448,46 @@ class Robot:
             scene.group, scene.mask = 2 - is_robot, 1 + 2 * is_robot
         return scene
 
-    def trajectory(self, q: Tensor, obstacles: Obstacles | None = None) -> Trajectory:
+    def trajectory(self, q: Tensor | Spline, obstacles: Obstacles | None = None) -> Trajectory:
         """The path through configurations, for `pgccd.detect` with `scene`: with margins within which links stray from
-        arcs while joints move at constant rates. A contact of it may be due to these margins; `certify` makes them as
-        small as needed.
+        arcs. A contact of it may be due to these margins; `certify` makes them as small as needed.
 
-        If a link turns by more than 0.99 rad between two waypoints, all joints added, every segment is split into the
-        same number of equal parts: times along the whole path stay what they are, and a segment of `q` becomes
-        `segment_count / (T - 1)` segments.
+        If a link turns by more than 0.99 rad in a segment, all joints added, every segment is split into the same
+        number of equal parts: times along the whole path stay what they are, and a segment of `q` becomes
+        `segment_count / S` segments.
 
         Args:
-            q: (T, J) configurations of the waypoints.
+            q: (T, J) configurations of the waypoints, between which joints move at constant rates; or a spline of
+                configurations (J,).
             obstacles: as for `scene`; the same in all environments.
 
         Raises:
             TypeError, ValueError: q has another type or shape or requires grad, or a joint has a value larger than 1e6;
                 or the robot may leave the square in place of an infinite plane; or a link turns by more than 1e4
-                radians between two waypoints, all joints added.
+                radians in a segment, all joints added.
 
         Example:
             >>> path = robot.trajectory(torch.linspace(0, 1, 20)[:, None].expand(20, robot.joint_count))
         """
-        q = self._configurations(q, "q")
-        if q.dim() != 2 or len(q) < 2:
-            raise ValueError(f"q: expected shape (T, {self.joint_count}) with T >= 2, got {tuple(q.shape)}")
-        arguments.refuse_gradient(q, "q")
-        allowed = (self._magnitudes(q) <= LARGEST_VALUE).all(dim=-1)
-        if not bool(allowed.all()):
-            waypoint = int((~allowed).long().argmax())
-            expected = f"joint values of at most {LARGEST_VALUE:g}"
-            raise ValueError(f"q: waypoint {waypoint}: expected {expected}, got {q[waypoint].tolist()}")
-        leaves = self._may_leave(q)
-        if bool(leaves.any()):
-            waypoint = int(leaves.long().argmax())
-            expected = f"joints that slide by at most {self._room:g}, added, since the robot has an infinite plane"
-            raise ValueError(f"q: waypoint {waypoint}: expected {expected}, got {q[waypoint].tolist()}")
-        turn = self._tables.turns(q[1:] - q[:-1])
-        if not bool((turn <= LONGEST_TURN).all()):
-            segment = int((~(turn <= LONGEST_TURN)).long().argmax())
-            expected = f"turns of at most {LONGEST_TURN:g} rad, all joints added"
-            raise ValueError(f"q: segment {segment}: expected {expected}, got {float(turn[segment]):.3g}")
-        parts = max(1, math.ceil(float(turn.max()) / (0.99 * MOST_TURN)))  # less, for the rounding of what is between
-        s = q.new_tensor([k / parts for k in range(parts + 1)])  # torch divides otherwise on a GPU
-        edges = [s[k : k + parts].repeat(len(q) - 1) for k in (0, 1)]
-        ends = [ends.repeat_interleave(parts, dim=0) for ends in (q[:-1], q[1:])]
-        margin = ops.arm_strays(self._tables.on(q.device), *ends, *edges)
-        x, r = self._tables.poses(torch.cat([ends[0] + edges[0][:, None] * (ends[1] - ends[0]), q[-1:]]))
+        if not isinstance(q, Spline):
+            q = self._configurations(q, "q")
+            if q.dim() != 2 or len(q) < 2:
+                raise ValueError(f"q: expected shape (T, {self.joint_count}) with T >= 2, got {tuple(q.shape)}")
+            q = q[None]
+        paths = JointPaths.of(self, q)
+        if len(paths.control) != 1:
+            raise ValueError(f"q: expected a spline of values ({self.joint_count},), got {len(paths.control)} paths")
+        paths.require_sound(self)
+        most = float(paths.turns(self).max())
+        parts = max(1, math.ceil(most / (0.99 * MOST_TURN)))  # less, for the rounding of what is between
+        device, count = paths.control.device, paths.segment_count
+        s = torch.tensor([k / parts for k in range(parts + 1)], dtype=torch.float64, device=device)
+        begin, end = (torch.cat([s[k : k + parts].repeat(count), s[-1:]]) for k in (0, 1))
+        of_parts = paths.segments()[0].repeat_interleave(parts, dim=0)
+        # And the pose at the end, of which nothing strays.
+        control = torch.cat([of_parts, of_parts[-1:]])
+        x, _, r, _, margin = ops.arm_arcs(self._tables.on(device), control.contiguous(), paths.error, begin, end)
+        margin = margin[:-1]
         if obstacles is not None:
             if obstacles.environments is not None or obstacles.motion is not None:
                 raise ValueError(f"obstacles: expected obstacles with one pose each, got {obstacles}")
@@ -501,12 +498,36 @@ class Robot:
             margin = torch.cat([margin, margin.new_zeros(len(margin), obstacles.count)], dim=1)
         return Trajectory(x, r, margin=margin)
 
-    def certify(self, q: Tensor, obstacles: Obstacles | None = None, *, resolution: float | None = None) -> Certificate:
+    def clearance(
+        self,
+        q: Tensor | Spline,
+        obstacles: Obstacles | None = None,
+        *,
+        cutoff: float | None = None,
+        tolerance: float | None = None,
+    ) -> Clearance:
+        """How near links come to obstacles and to each other along paths, between waypoints too.
+
+        Args:
+            q, obstacles, cutoff, tolerance: as for `pgccd.robots.clearance`.
+
+        Raises:
+            TypeError, ValueError: naming the argument.
+
+        Example:
+            >>> robot.clearance(torch.zeros(1, 2, robot.joint_count), obstacles)
+        """
+        from pgccd.robots.clearance import clearance
+
+        return clearance(self, q, obstacles, cutoff=cutoff, tolerance=tolerance)
+
+    def certify(
+        self, q: Tensor | Spline, obstacles: Obstacles | None = None, *, resolution: float | None = None
+    ) -> Certificate:
         """Whether paths are free of contact, between waypoints too.
 
         Args:
-            q: (B, T, J) configurations.
-            obstacles, resolution: as for `pgccd.robots.certify`.
+            q, obstacles, resolution: as for `pgccd.robots.certify`.
 
         Raises:
             TypeError, ValueError: naming the argument.

@@ -31,7 +31,7 @@ EXACT = """
     copy detach div empty empty_like empty_strided expand fill floor full full_like gather index index_put
     index_select lift_fresh masked_fill max maximum min minimum mul neg new_empty new_full new_zeros nextafter ones
     ones_like permute repeat repeat_interleave reshape rsub scalar_tensor scatter scatter_reduce select slice sort split
-    sqrt squeeze stack sub transpose unbind unsqueeze view where zero zeros zeros_like set_
+    split_with_sizes nan_to_num sqrt squeeze stack sub transpose unbind unsqueeze view where zero zeros zeros_like set_
 """
 
 
@@ -107,6 +107,18 @@ def arms() -> None:
     obstacles = robots.Obstacles([pgccd.Mesh.box([0.2] * 3)], torch.tensor([[1.0, 0.5, 0.1]]))
     robot.certify(torch.tensor([[[0.0, 0.0], [1.5, 0.3], [0.0, 0.0]]], dtype=torch.float64), obstacles)
     robot.trajectory(torch.tensor([[0.0, 0.0], [0.5, 0.3]], dtype=torch.float64))
+    curve = pgccd.Spline(torch.tensor([[0.0, 0.0], [0.5, 0.3], [0.2, 0.1], [0.1, 0.0]], dtype=torch.float64), 3)
+    robot.trajectory(curve)
+    robot.clearance(curve, obstacles)
+
+
+def splines() -> None:
+    rng = np.random.default_rng(2)
+    curve = pgccd.Spline(torch.tensor(rng.normal(size=(7, 2, 3))), 3)
+    upright = torch.tensor([[1.0, 0.0, 0.0, 0.0]], dtype=torch.float64).expand(2, 4)
+    pgccd.Trajectory.from_spline(curve, upright, rotation=torch.tensor(rng.normal(size=(2, 2, 3))), stray=0.1)
+    pgccd.Trajectory.from_spline(curve, stray=0.1)
+    curve.at(0.3)
 
 
 def padded() -> None:
@@ -148,6 +160,7 @@ CALLS = {
     "trajectory": lambda: every_report(along),
     "turning": turning,
     "exits": exits,
+    "splines": splines,
     "arms": arms,
     "padded": padded,
     "motions": motions,

@@ -106,6 +106,7 @@ def certify_motions(device: torch.device) -> None:
     q = torch.tensor([[[0.0, 0.0], [1.5, 0.3], [0.0, 0.0]]], dtype=torch.float64, device=device)
     robot.certify(q, pgccd.robots.Obstacles([pgccd.Mesh.box([0.2] * 3)], torch.tensor([[0.1, 1.0, 0.3]])))
     robot.trajectory(q[0])
+    robot.poses(q)
 
 
 def stages_alone(bodies: pgccd.MovingBodies) -> None:

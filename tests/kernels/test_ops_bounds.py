@@ -46,7 +46,7 @@ INDICES = [
     ("certify_paths", (2, 0), "bodies.mesh_index"),
     ("certify_paths", (2, 3), "bodies.pairs"),
     ("arm_poses", (0, 4), "arm.chain"),
-    ("arm_strays", (0, 4), "arm.chain"),
+    ("arm_arcs", (0, 4), "arm.chain"),
     ("take_rows", (2,), "rows"),
     ("replica_ranks", (4,), "owner"),
     ("replica_ranks", (6,), "bodies"),

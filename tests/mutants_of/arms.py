@@ -14,6 +14,8 @@ LINKS = "pgccd/robots/links.py"
 MJCF = "pgccd/robots/mjcf.py"
 URDF = "pgccd/robots/urdf.py"
 ON_UNTESTED = ("robots/test_untested.py",)
+CURVE = "csrc/kernels/arms/curve_item.h"
+ON_CURVES = ("robots/test_curves.py",)
 ON_SEARCH = ("robots/test_path_search.py",)
 ON_VALIDATOR = ("robots/test_validator.py",)
 ROBOT = "pgccd/robots/robot.py"
@@ -29,6 +31,7 @@ NOT_ATTAINED = "a term of higher order in the turn, of which no chain is known t
 OF_ROTATION = "(1.0 + 2.0 * arm_detail::kRate * turn + arm_detail::kAngle * (turn * turn))"
 COUNTED = "1.0 + (joint.turns() ? motion.largest : 0.0)"
 MEASURED = "distance + (joint.slides() ? motion.largest : 0.0)"
+VALUES = "kCurveError * (degree * degree * largest(coordinate))"
 PARTS = "most_turn(arm, segment) / (0.99 * kMostTurn)"
 TOLERANCE = "kContactTolerance * resolution"
 
@@ -46,6 +49,24 @@ def _moving(name: str, old: str, new: str) -> Mutant:
     return Mutant(f"moving-{name}", SPAN, old, new, (*ON_MOVING, "kernels/test_arms.py"))
 
 
+def _on_curves(name: str, file: str, old: str, new: str, within: str = "") -> Mutant:
+    return Mutant(f"arm-{name}", file, old, new, ON_CURVES, within)
+
+
+def _curve(name: str, old: str, new: str, within: str = "") -> Mutant:
+    return _on_curves(f"curve-{name}", CURVE, old, new, within)
+
+
+def _spline(name: str, old: str, new: str) -> Mutant:
+    return Mutant(f"spline-{name}", "pgccd/motion/splines.py", old, new, ("motion/test_splines.py",), switched=False)
+
+
+def _clearance(name: str, old: str, new: str) -> Mutant:
+    return Mutant(
+        f"clearance-{name}", "pgccd/robots/clearance.py", old, new, ("robots/test_clearance.py",), switched=False
+    )
+
+
 def _validator(name: str, old: str, new: str) -> Mutant:
     return Mutant(
         f"validator-{name}", "csrc/kernels/arms/validator.h", old, new, (*ON_VALIDATOR, "kernels/test_arms.py")
@@ -53,6 +74,18 @@ def _validator(name: str, old: str, new: str) -> Mutant:
 
 
 MUTANTS = [
+    _spline("conversion-exact", "_CONVERSION = 2.0**-47", "_CONVERSION = 2.0**-60"),
+    _spline("gap-forgotten", "made.error = jump + ", "made.error = "),
+    _spline("line-999", "bend * (0.125 / parts**2)", "bend * (0.124875 / parts**2)"),
+    _spline("values-exact", "_VALUES * self.degree**2 * size", "0.0 * size"),
+    _spline("error-forgotten", "* size + self.error", "* size"),
+    _spline(
+        "late-times", "torch.where(toi > 0.0, earlier, begin)", "torch.where(toi > 0.0, time * (1.0 + 1e-15), begin)"
+    ),
+    _clearance("strays-once", "2.0 * (stray[part, pair[:, 0]]", "1.0 * (stray[part, pair[:, 0]]"),
+    _clearance("no-strays", "copies.margin = sum_of_margins(stray.reshape(-1), copies.margin)", "pass"),
+    _clearance("too-early-an-end", "< (self.upper - slack)[path]", "< (self.upper - 2.0 * slack)[path]"),
+    _clearance("spheres-as-contacts", "self._spheres_at_start() + tolerance", "self._spheres_at_start()"),
     Mutant(
         "links-fixed-to-the-root-are-neighbours",
         LINKS,
@@ -191,17 +224,15 @@ MUTANTS = [
     _arm("pose-error-without-slides", MEASURED, "distance"),
     _arm("pose-error-without-lengths", MEASURED, f"0.0 * {MEASURED}"),
     _arm("pose-error-without-reach", "reach", "0.0 * reach", within="error_length = reach,"),
-    _arm("pose-error-without-scale", "q * magnitude(place.scale)", "q"),
-    _arm(
-        "pose-error-without-offset", "magnitude(place.offset)", "0.0", within="place.scale) + magnitude(place.offset)"
-    ),
+    _arm("pose-error-without-scale", "largest(joint.coordinate) * scale", "largest(joint.coordinate)"),
+    _arm("pose-error-without-offset", "magnitude(place.offset)", "0.0", within="scale + magnitude(place.offset)"),
     _search("first-parts-2", SPAN, "0.99 * kMostTurn", "1.98 * kMostTurn"),
     _search("first-parts-unrounded", SPAN, f"std::ceil({PARTS})", f"std::floor({PARTS})"),
     _search(
         "turns-unscaled",
         KINEMATICS,
-        "magnitude((span.to[coordinate] - span.from[coordinate]) * arm.places[k].scale)",
-        "magnitude(span.to[coordinate] - span.from[coordinate])",
+        "curve.rate(arm.joints[k].coordinate) * magnitude(arm.places[k].scale)",
+        "curve.rate(arm.joints[k].coordinate)",
     ),
     Mutant("arm-turns-4", TABLES, "MOST_TURN = 1.0", "MOST_TURN = 4.0", ON_STRAY, switched=False),
     Mutant(
@@ -215,8 +246,38 @@ MUTANTS = [
     _search(
         "rounding-between-waypoints",
         KINEMATICS,
-        "larger(magnitude(span.from[joint.coordinate]), magnitude(span.to[joint.coordinate]))",
-        "larger(magnitude(from), magnitude(to))",
+        "span.curve.largest(joint.coordinate)",
+        "larger(magnitude(span.curve.value(joint.coordinate, span.begin)), "
+        "magnitude(span.curve.value(joint.coordinate, span.end)))",
+    ),
+    _curve("deviation-999", "0.125 * (length * length)", "0.999 * 0.125 * (length * length)"),
+    _curve("deviation-of-shorter-parts", "0.125 * (length * length)", "0.125 * (length * length * length)"),
+    _curve("second-derivative", "degree * (degree - 1) * most", "degree * degree * most * 0.49"),
+    _curve("second-differences", "k + 1 < degree", "k + 2 < degree"),
+    _curve("values-exact", VALUES, "0.0"),
+    _curve("values-999", VALUES, f"0.99 * {VALUES}"),
+    _curve("error-forgotten", "error", "0.0", f"{VALUES} +\n           error"),
+    _curve("error-forgotten-of-waypoints", "error", "0.0", "if (degree == 1) return error;"),
+    _curve("rate-999", "degree * most", "0.97 * degree * most", "return degree * most;"),
+    _curve(
+        "rate-of-the-ends",
+        "degree * most",
+        "magnitude(point(coordinate, degree) - point(coordinate, 0))",
+        "return degree * most;",
+    ),
+    _curve("binomial", "binomial * (degree - k + 1) / k", "binomial * (degree - k) / k"),
+    _on_curves("deviation-of-chords", KINEMATICS, "motion.deviation * (away + reach)", "motion.deviation * away"),
+    _on_curves("deviation-at-the-body", KINEMATICS, "motion.deviation * (away + reach)", "motion.deviation * reach"),
+    _on_curves("deviation-of-sliders", KINEMATICS, "motion.deviation", "0.0", "deviation += motion.deviation;"),
+    _on_curves(
+        "deviation-while-turning", KINEMATICS, "motion.step > 0.0 || motion.deviation > 0.0", "motion.step > 0.0"
+    ),
+    _on_curves(
+        "deviation-at-rest", KINEMATICS, "error + deviation * arm_detail::kBoundRounding", "error + 0.0 * deviation"
+    ),
+    _on_curves("deviation-unscaled", KINEMATICS, "span.begin, span.end) * scale", "span.begin, span.end)"),
+    _on_curves(
+        "curves-of-too-long-turns", SPAN, "k / paths.degree - 1)) <= kLongestTurn", "k / paths.degree - 1)) >= 0.0"
     ),
     _search("near-too-early", SPAN, f"2.0 * stray + {TOLERANCE}", f"stray + {TOLERANCE}"),
     _search("near-at-an-end", SPAN, "span.end - span.begin <= kShortestSpan", "span.end - span.begin <= 0.5"),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from xml.sax.saxutils import quoteattr
 
@@ -10,6 +10,9 @@ import numpy as np
 
 # Edges whose unit directions have a smaller cross product count as parallel: the axes of faces then suffice.
 _PARALLEL = 1e-9
+
+#: A function of frames and half edges, such as `gaps`.
+Measure = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -139,8 +142,48 @@ def gaps(a: np.ndarray, half_a: np.ndarray, b: np.ndarray, half_b: np.ndarray) -
     return np.where(is_axis, distance - reach_a - reach_b, -np.inf).max(axis=1)
 
 
+def distances(a: np.ndarray, half_a: np.ndarray, b: np.ndarray, half_b: np.ndarray) -> np.ndarray:
+    """(K,): the distance of boxes or points, as for `gaps`; 0: they overlap. That of corners from the other box, or of
+    edges of both.
+    """
+    overlap = gaps(a, half_a, b, half_b)
+    if not half_a.any() or not half_b.any():
+        return np.maximum(overlap, 0.0)
+    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    ends = np.array([(i, j) for i in range(8) for j in range(i) if (signs[i] != signs[j]).sum() == 1])
+    corners_a, corners_b = (
+        np.einsum("kij,cj->kci", frame[:, :3, :3], signs * half) + frame[:, None, :3, 3]
+        for frame, half in ((a, half_a), (b, half_b))
+    )
+    least = np.full(len(a), np.inf)
+    for corners, frame, half in ((corners_a, b, half_b), (corners_b, a, half_a)):
+        local = np.einsum("kji,kcj->kci", frame[:, :3, :3], corners - frame[:, None, :3, 3])
+        away = np.linalg.norm(np.maximum(np.abs(local) - half, 0.0), axis=2)
+        least = np.minimum(least, away.min(axis=1))
+    p, q = corners_a[:, ends[:, 0], None], corners_b[:, None, ends[:, 0]]
+    u, v = corners_a[:, ends[:, 1], None] - p, corners_b[:, None, ends[:, 1]] - q
+
+    def dot(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return (x * y).sum(axis=-1)
+
+    w, uu, vv, uv = p - q, dot(u, u), dot(v, v), dot(u, v)
+    det = uu * vv - uv * uv
+    s = np.clip(
+        np.where(det > 1e-12 * uu * vv, uv * dot(v, w) - vv * dot(u, w), 0.0) / np.maximum(det, 1e-300), 0.0, 1.0
+    )
+    t = np.clip((uv * s + dot(v, w)) / vv, 0.0, 1.0)
+    s = np.clip((uv * t - dot(u, w)) / uu, 0.0, 1.0)
+    between = np.linalg.norm(w + s[..., None] * u - t[..., None] * v, axis=-1)
+    return np.where(overlap <= 0.0, 0.0, np.minimum(least, between.min(axis=(1, 2))))
+
+
 def least_gaps(
-    arm: Arm, q: np.ndarray, boxes: np.ndarray, half: np.ndarray, untested: set[tuple[int, int]]
+    arm: Arm,
+    q: np.ndarray,
+    boxes: np.ndarray,
+    half: np.ndarray,
+    untested: set[tuple[int, int]],
+    measure: Measure = gaps,
 ) -> np.ndarray:
     """(K,): the least gap of links with each other and with boxes, in configurations (K, J).
 
@@ -148,6 +191,7 @@ def least_gaps(
         boxes: (M, 4, 4) frames.
         half: (M, 3) half edges.
         untested: pairs of parts.
+        measure: `gaps` or `distances`.
     """
     shapes, (sizes, radii) = arm.shapes(q), arm.sizes()
     least = np.full(len(q), np.inf)
@@ -155,9 +199,9 @@ def least_gaps(
     for k in solid:
         for other in solid:
             if other > k and (k, other) not in untested:
-                gap = gaps(shapes[:, k], sizes[k], shapes[:, other], sizes[other])
+                gap = measure(shapes[:, k], sizes[k], shapes[:, other], sizes[other])
                 least = np.minimum(least, gap - radii[k] - radii[other])
         for frame, edges in zip(boxes, half, strict=True):
-            gap = gaps(shapes[:, k], sizes[k], np.broadcast_to(frame, shapes[:, k].shape), edges)
+            gap = measure(shapes[:, k], sizes[k], np.broadcast_to(frame, shapes[:, k].shape), edges)
             least = np.minimum(least, gap - radii[k])
     return least

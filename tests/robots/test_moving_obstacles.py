@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from oracle.arms import Arm, Part, gaps, least_gaps, turns
+from oracle.arms import Arm, Measure, Part, gaps, least_gaps, turns
 from support.arms import UPRIGHT, beams, loaded, random_arm
 from support.cases import mostly_slow
 
@@ -55,15 +55,21 @@ class Sweep:
 
 
 def least(
-    arm: Arm, q: np.ndarray, sweep: Sweep, segment: int, s: np.ndarray, names: set[tuple[int, int]]
+    arm: Arm,
+    q: np.ndarray,
+    sweep: Sweep,
+    segment: int,
+    s: np.ndarray,
+    names: set[tuple[int, int]],
+    measure: Measure = gaps,
 ) -> np.ndarray:
     """(K,): the least gap of links with each other and with obstacles."""
-    found = least_gaps(arm, q, np.empty((0, 4, 4)), np.empty((0, 3)), names)
+    found = least_gaps(arm, q, np.empty((0, 4, 4)), np.empty((0, 3)), names, measure)
     shapes, (sizes, radii) = arm.shapes(q), arm.sizes()
     for frames, half in zip(sweep.frames(segment, s), sweep.half, strict=True):
         for k in range(len(arm.parts)):
             if not np.isnan(sizes[k]).any():
-                found = np.minimum(found, gaps(shapes[:, k], sizes[k], frames, half) - radii[k])
+                found = np.minimum(found, measure(shapes[:, k], sizes[k], frames, half) - radii[k])
     return found
 
 

@@ -291,7 +291,7 @@ def test_links_turn_little_in_every_span(tmp_path: Path) -> None:
         q = torch.tensor(rng.normal(size=(4, 4, robot.joint_count)) * 10.0 ** rng.uniform(-1, 1, (4, 1, 1)))
         mesh_set, bodies, obstacles = search._tensors_on(q.device)
         arm = robot._tables.on(q.device)
-        *_, counts = ops.certify_paths(mesh_set, arm, bodies, obstacles, False, robot._room, q, 1e-3)
+        *_, counts = ops.certify_paths(mesh_set, arm, bodies, obstacles, False, robot._room, q, 1, 0.0, 1e-3)
         joints = robot._tree.joints
         turn = np.zeros((4, 3))
         for frame in robot._frames:

@@ -44,8 +44,8 @@ def stray(robot: robots.Robot, q0: np.ndarray, q1: np.ndarray, begin: float = 0.
     error of poses included.
     """
     times = (torch.full((len(q0),), s, dtype=torch.float64) for s in (begin, end))
-    ends = (torch.tensor(q, dtype=torch.float64) for q in (q0, q1))
-    return ops.arm_strays(robot._tables.on(torch.device("cpu")), *ends, *times).numpy()
+    control = torch.stack([torch.tensor(q, dtype=torch.float64) for q in (q0, q1)], dim=1)
+    return ops.arm_arcs(robot._tables.on(torch.device("cpu")), control, 0.0, *times)[-1].numpy()
 
 
 def beams(joints: int = 4, length: float = 0.4) -> Arm:

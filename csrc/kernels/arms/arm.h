@@ -78,10 +78,15 @@ struct ArmScene {
   int64_t pair_count;
 };
 
-// Paths of configurations: (paths, waypoints, coordinates).
+// Paths of configurations, by control points (paths, control, coordinates): those of a segment of degree d are d + 1
+// rows, the last of which is the first one of the next segment. Degree 1: control points are waypoints.
 struct ArmPaths {
-  const double* waypoints;
-  int64_t path_count, waypoint_count;
+  const double* control;
+  int64_t path_count, control_count;
+  int32_t degree = 1;
+  double error = 0.0;  // of control points
+
+  PGCCD_HD int64_t segment_count() const { return (control_count - 1) / degree; }
 };
 
 }  // namespace pgccd

@@ -1,4 +1,4 @@
-// Poses of the bodies of a robot, and how far they stray from arcs.
+// Poses of the bodies of a robot, and arcs near which they move.
 #pragma once
 
 #include "kernels/arms/kinematics_item.h"
@@ -19,23 +19,36 @@ PGCCD_HD void store_pose(const ArmPoses& out, int64_t row, const RigidPose& pose
 }
 
 // In the world, of configurations (count, coordinates).
+// A configuration as a segment of which it is the begin.
+PGCCD_HD ArmSpan still_span(const Arm& arm, const double* q) { return {{q, arm.coordinate_count, 0, 0.0}, 0.0, 0.0}; }
+
 void arm_poses(const Executor& executor, const Arm& arm, const double* q, int64_t count, const ArmPoses& out);
 void arm_poses(const DeviceContext& context, const Arm& arm, const double* q, int64_t count, const ArmPoses& out);
 
-// Joints move at constant rates from q0 to q1, (count, coordinates) each; of that the part from `begin` to `end`
-// (count,), in which bodies turn by at most kMostTurn.
-struct ArmMotions {
-  const double *q0, *q1, *begin, *end;
-  int64_t count;
+// Paths of one segment each; of that the part from `begin` to `end` (paths,), in which bodies turn by at most
+// kMostTurn.
+struct ArmSpans {
+  ArmPaths paths;
+  const double *begin, *end;
 
-  PGCCD_HD ArmSpan span(int64_t k, int64_t coordinates) const {
-    return {q0 + k * coordinates, q1 + k * coordinates, begin[k], end[k]};
-  }
+  PGCCD_HD ArmSpan span(const Arm& arm, int64_t k) const { return {curve_of(paths, arm, k, 0), begin[k], end[k]}; }
 };
 
-// (count, bodies): how far bodies stray from the arcs between their poses at both ends; of equal ends, the error of the
-// poses.
-void arm_strays(const Executor& executor, const Arm& arm, const ArmMotions& motions, double* stray);
-void arm_strays(const DeviceContext& context, const Arm& arm, const ArmMotions& motions, double* stray);
+struct ArmArcs {
+  ArmPoses start;
+  double* end;       // (paths, bodies, 3) positions
+  double* rotation;  // (paths, bodies, 3)
+  double* stray;     // (paths, bodies): how far points of bodies are from the arc; of equal ends the error of poses
+};
+
+PGCCD_HD void store_arc(const ArmArcs& out, int64_t row, const ArmArc& arc) {
+  store_pose(out.start, row, arc.start);
+  store_vec3(out.end + 3 * row, arc.end);
+  store_vec3(out.rotation + 3 * row, arc.rotation);
+  out.stray[row] = arc.stray;
+}
+
+void arm_arcs(const Executor& executor, const Arm& arm, const ArmSpans& spans, const ArmArcs& out);
+void arm_arcs(const DeviceContext& context, const Arm& arm, const ArmSpans& spans, const ArmArcs& out);
 
 }  // namespace pgccd

@@ -26,18 +26,14 @@ void for_each_body(const Executor& executor, const Arm& arm, int64_t count, Span
 
 void arm_poses(const Executor& executor, const Arm& arm, const double* q, int64_t count, const ArmPoses& out) {
   for_each_body(
-      executor, arm, count,
-      [&](int64_t k) {
-        const double* const own = q + k * arm.coordinate_count;
-        return ArmSpan{own, own, 0.0, 0.0};
-      },
+      executor, arm, count, [&](int64_t k) { return still_span(arm, q + k * arm.coordinate_count); },
       [&](int64_t row, const ArmArc& arc) { store_pose(out, row, arc.start); });
 }
 
-void arm_strays(const Executor& executor, const Arm& arm, const ArmMotions& motions, double* stray) {
+void arm_arcs(const Executor& executor, const Arm& arm, const ArmSpans& spans, const ArmArcs& out) {
   for_each_body(
-      executor, arm, motions.count, [&](int64_t k) { return motions.span(k, arm.coordinate_count); },
-      [&](int64_t row, const ArmArc& arc) { stray[row] = arc.stray; });
+      executor, arm, spans.paths.path_count, [&](int64_t k) { return spans.span(arm, k); },
+      [&](int64_t row, const ArmArc& arc) { store_arc(out, row, arc); });
 }
 
 }  // namespace pgccd

@@ -27,18 +27,14 @@ void for_each_body(const DeviceContext& context, const Arm& arm, int64_t count, 
 
 void arm_poses(const DeviceContext& context, const Arm& arm, const double* q, int64_t count, const ArmPoses& out) {
   for_each_body(
-      context, arm, count,
-      [=] __device__(int64_t k) {
-        const double* const own = q + k * arm.coordinate_count;
-        return ArmSpan{own, own, 0.0, 0.0};
-      },
+      context, arm, count, [=] __device__(int64_t k) { return still_span(arm, q + k * arm.coordinate_count); },
       [=] __device__(int64_t row, const ArmArc& arc) { store_pose(out, row, arc.start); });
 }
 
-void arm_strays(const DeviceContext& context, const Arm& arm, const ArmMotions& motions, double* stray) {
+void arm_arcs(const DeviceContext& context, const Arm& arm, const ArmSpans& spans, const ArmArcs& out) {
   for_each_body(
-      context, arm, motions.count, [=] __device__(int64_t k) { return motions.span(k, arm.coordinate_count); },
-      [=] __device__(int64_t row, const ArmArc& arc) { stray[row] = arc.stray; });
+      context, arm, spans.paths.path_count, [=] __device__(int64_t k) { return spans.span(arm, k); },
+      [=] __device__(int64_t row, const ArmArc& arc) { store_arc(out, row, arc); });
 }
 
 }  // namespace pgccd

@@ -4,7 +4,7 @@
 
 #include "core/rotation.h"
 #include "core/rounding.h"
-#include "kernels/arms/arm.h"
+#include "kernels/arms/curve_item.h"
 
 namespace pgccd {
 
@@ -25,9 +25,6 @@ PGCCD_HD RigidPose operator*(const RigidPose& outer, const RigidPose& inner) {
 
 PGCCD_HD double value_of(const JointPlace& place, double coordinate) { return place.scale * coordinate + place.offset; }
 
-// A coordinate at time s of a segment.
-PGCCD_HD double coordinate_at(double begin, double end, double s) { return s == 1.0 ? end : begin + s * (end - begin); }
-
 // The frame of a joint in its parent.
 PGCCD_HD RigidPose joint_pose(const Joint& joint, const JointPlace& place, double value) {
   RigidPose pose{load_vec3(place.position), load_quaternion(place.orientation)};
@@ -41,14 +38,13 @@ PGCCD_HD RigidPose joint_pose(const Joint& joint, const JointPlace& place, doubl
   return pose;
 }
 
-// Part of a segment between two waypoints (coordinates,), from one time to another.
+// Part of a segment, from one time to another.
 struct ArmSpan {
-  const double* from;
-  const double* to;
+  JointCurve curve;
   double begin, end;
 
   PGCCD_HD double value(const Joint& joint, const JointPlace& place, double s) const {
-    return value_of(place, coordinate_at(from[joint.coordinate], to[joint.coordinate], s));
+    return value_of(place, curve.value(joint.coordinate, s));
   }
 };
 
@@ -57,7 +53,8 @@ struct JointMotion {
   RigidPose begin, end;  // of its frame in that of the chain
   double step;           // by how much its value changes
   double extent;         // the larger magnitude of its values at both ends
-  double largest;        // of its values at both waypoints: rounding grows with them, also where values are near zero
+  double largest;        // of its values in the segment: rounding grows with them, also where values are near zero
+  double deviation;      // of its value, from one that changes at a constant rate
   double turn_before;    // by how much joints before it turn, added
   double cross_before;   // the same, each times the sine of the angle between both axes
 };
@@ -86,8 +83,9 @@ PGCCD_HD void place_joint(const Arm& arm, const ArmSpan& span, const JointChain&
   if (joint.moves()) {
     from = span.value(joint, place, span.begin);
     to = span.value(joint, place, span.end);
-    const double q = larger(magnitude(span.from[joint.coordinate]), magnitude(span.to[joint.coordinate]));
-    motion.largest = q * magnitude(place.scale) + magnitude(place.offset);
+    const double scale = magnitude(place.scale);
+    motion.largest = span.curve.largest(joint.coordinate) * scale + magnitude(place.offset);
+    motion.deviation = span.curve.deviation(joint.coordinate, span.begin, span.end) * scale;
   }
   motion.step = magnitude(to - from);
   motion.extent = larger(magnitude(from), magnitude(to));
@@ -135,6 +133,7 @@ PGCCD_HD ArmArc arc_of_body(const Arm& arm, const JointChain& chain, bool rests,
   const RigidPose start = chain.motion(chain.count - 1).begin, end = chain.motion(chain.count - 1).end;
   double acceleration = 0.0, length = 0.0, speed = 0.0;  // of the origin of the body's frame
   double turn = 0.0, bend = 0.0;                         // of the body, and of its rate
+  double deviation = 0.0;  // of its points, from where they were if joints moved at constant rates
   double error_length = reach, error_count = 1.0;
   for (int32_t n = chain.count - 1; n >= 0; --n) {
     const Joint& joint = arm.joints[chain.frames[n]];
@@ -146,7 +145,8 @@ PGCCD_HD ArmArc arc_of_body(const Arm& arm, const JointChain& chain, bool rests,
       acceleration += 2.0 * (motion.step * motion.turn_before);
       speed += motion.step;
       length += motion.extent;
-    } else if (motion.step > 0.0) {
+      deviation += motion.deviation;
+    } else if (motion.step > 0.0 || motion.deviation > 0.0) {
       // The distance of the joint from the origin changes by at most `speed`, so it is at most halfway above both ends.
       const double ends = norm(motion.begin.position - start.position) + norm(motion.end.position - end.position);
       const double away = smaller(length, 0.5 * (ends + speed));
@@ -154,36 +154,34 @@ PGCCD_HD ArmArc arc_of_body(const Arm& arm, const JointChain& chain, bool rests,
       speed += motion.step * away;
       turn += motion.step;
       bend += motion.step * motion.cross_before;
+      deviation += motion.deviation * (away + reach);
     }
     length += distance;
   }
   const double error = arm_detail::kPoseError * (error_count * error_length);
-  if (rests) return {start, start.position, {0.0, 0.0, 0.0}, error};
+  if (rests) return {start, start.position, {0.0, 0.0, 0.0}, error + deviation * arm_detail::kBoundRounding};
   const double of_rotation =
       smaller((1.0 + 2.0 * arm_detail::kRate * turn + arm_detail::kAngle * (turn * turn)) * 0.125, arm_detail::kAngle);
-  const double bound = (0.125 * acceleration + reach * (bend * of_rotation)) * arm_detail::kBoundRounding;
+  const double bound = (0.125 * acceleration + reach * (bend * of_rotation) + deviation) * arm_detail::kBoundRounding;
   return {start, end.position, rotation_between(start.orientation, end.orientation), bound + error};
 }
 
 // The bound holds for bodies that turn by at most so many radians in a part of a segment, the turns of all joints
 // added.
 constexpr double kMostTurn = 1.0;
-// Radians that a body may turn between two waypoints, added in the same way: a segment is first split into about as
-// many parts.
+// Radians that a body may turn in a segment, added in the same way: it is first split into about as many parts.
 constexpr double kLongestTurn = 1e4;
 // Larger values of joints, radians or length units, have no poses.
 constexpr double kLargestJointValue = 1e6;
 
-// By how much bodies turn at most in a part of a segment, the turns of all joints added, rounded up.
-PGCCD_HD double most_turn(const Arm& arm, const ArmSpan& span) {
+// By how much bodies turn at most in a segment, the turns of all joints added, rounded up.
+PGCCD_HD double most_turn(const Arm& arm, const JointCurve& curve) {
   double most = 0.0;
   for (int64_t body = 0; body < arm.body_count; ++body) {
     double turn = 0.0;
     for (int32_t n = arm.chain_begin[body]; n < arm.chain_begin[body + 1]; ++n) {
-      const int32_t k = arm.chain[n], coordinate = arm.joints[k].coordinate;
-      if (arm.joints[k].turns()) {
-        turn += magnitude((span.to[coordinate] - span.from[coordinate]) * arm.places[k].scale);
-      }
+      const int32_t k = arm.chain[n];
+      if (arm.joints[k].turns()) turn += curve.rate(arm.joints[k].coordinate) * magnitude(arm.places[k].scale);
     }
     most = turn > most || turn != turn ? turn : most;
   }

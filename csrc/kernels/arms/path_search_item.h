@@ -23,7 +23,7 @@ class PathSearch {
     const double nan = static_cast<double>(NAN);
     path_ = path;
     options_ = options;
-    verdict_ = {Verdict::kFree, {paths_.waypoint_count, static_cast<double>(INFINITY), -1}, {nan, nan, nan}, {}};
+    verdict_ = {Verdict::kFree, {paths_.segment_count(), static_cast<double>(INFINITY), -1}, {nan, nan, nan}, {}};
     team_.begin();
     if (!is_sound()) {
       verdict_.verdict = Verdict::kInvalid;
@@ -63,8 +63,8 @@ class PathSearch {
   // Calls search(span) for the parts into which the segments are split first, until a contact is known.
   template <class Search>
   PGCCD_TARGET void for_each_span(Search&& search) {
-    for (int64_t segment = 0; segment + 1 < paths_.waypoint_count; ++segment) {
-      const int64_t parts = first_parts(scene_.arm, joints_over(paths_, scene_.arm, {path_, segment, 0.0, 1.0}));
+    for (int64_t segment = 0; segment < paths_.segment_count(); ++segment) {
+      const int64_t parts = first_parts(scene_.arm, curve_of(paths_, scene_.arm, path_, segment));
       for (int64_t k = 0; k < parts; ++k) {
         if (is_decided()) return;
         search({path_, segment, edge_of_part(0.0, 1.0, k, parts), edge_of_part(0.0, 1.0, k + 1, parts)});
@@ -74,8 +74,8 @@ class PathSearch {
 
   PGCCD_TARGET_RARE bool is_sound() {
     bool is_wrong = team_.index() == 0 && !are_sound_obstacles(scene_.obstacles, path_);
-    for (int64_t k = team_.index(); k < paths_.waypoint_count; k += Team::kCount) {
-      is_wrong |= !is_sound_waypoint(scene_.arm, paths_, path_, k);
+    for (int64_t k = team_.index(); k < paths_.control_count; k += Team::kCount) {
+      is_wrong |= !is_sound_control(scene_.arm, paths_, path_, k);
     }
     return !team_.any(is_wrong);
   }
@@ -317,7 +317,7 @@ class PathSearch {
   PGCCD_TARGET PathSpan witness(int k) const {
     const FirstContact& first = verdict_.first;
     if (k == kWitnesses - 1) {
-      return {path_, smaller(first.segment + 1, paths_.waypoint_count - 2), 1.0, 1.0};
+      return {path_, smaller(first.segment + 1, paths_.segment_count() - 1), 1.0, 1.0};
     }
     const double s = first.toi + (1.0 - first.toi) * (k == 0 ? 0.0 : std::ldexp(1.0, k + 2 - kWitnesses));
     return {path_, first.segment, s, s};

@@ -68,8 +68,7 @@ struct PathSpan {
 };
 
 PGCCD_HD ArmSpan joints_over(const ArmPaths& paths, const Arm& arm, const PathSpan& span) {
-  const double* const from = paths.waypoints + (span.path * paths.waypoint_count + span.segment) * arm.coordinate_count;
-  return {from, from + arm.coordinate_count, span.begin, span.end};
+  return {curve_of(paths, arm, span.path, span.segment), span.begin, span.end};
 }
 
 // Whether a contact over a span, with both bodies' strays added, is an end of the search: the pair comes within the
@@ -98,27 +97,29 @@ PGCCD_HD double edge_of_part(double begin, double end, int64_t k, int64_t parts)
 }
 
 // The number of parts into which a segment is split first.
-PGCCD_HD int64_t first_parts(const Arm& arm, const ArmSpan& segment) {
+PGCCD_HD int64_t first_parts(const Arm& arm, const JointCurve& segment) {
   return static_cast<int64_t>(larger(std::ceil(most_turn(arm, segment) / (0.99 * kMostTurn)), 1.0));
 }
 
-// Whether poses at a waypoint, and between it and the one before, are computed with the proven bounds.
-PGCCD_HD bool is_sound_waypoint(const Arm& arm, const ArmPaths& paths, int64_t path, int64_t waypoint) {
-  const double* const q = paths.waypoints + (path * paths.waypoint_count + waypoint) * arm.coordinate_count;
-  for (int64_t k = 0; k < arm.coordinate_count; ++k) {
-    if (!(magnitude(q[k]) <= kLargestJointValue)) return false;
+// Whether poses of a segment, whose values are between those of its control points, are computed with the proven
+// bounds: by control point k of the path, and where that ends a segment, by the segment.
+PGCCD_HD bool is_sound_control(const Arm& arm, const ArmPaths& paths, int64_t path, int64_t k) {
+  const double* const q = paths.control + (path * paths.control_count + k) * arm.coordinate_count;
+  for (int64_t c = 0; c < arm.coordinate_count; ++c) {
+    if (!(magnitude(q[c]) <= kLargestJointValue)) return false;
   }
   double slides = 0.0;
-  for (int64_t k = 0; k < arm.joint_count; ++k) {
-    const int32_t coordinate = arm.joints[k].coordinate;
+  for (int64_t j = 0; j < arm.joint_count; ++j) {
+    const int32_t coordinate = arm.joints[j].coordinate;
     if (coordinate < 0) continue;
-    const JointPlace& place = arm.places[k];
+    const JointPlace& place = arm.places[j];
     const double largest = magnitude(q[coordinate]) * magnitude(place.scale) + magnitude(place.offset);
     if (!(largest <= kLargestJointValue)) return false;
-    if (arm.joints[k].slides()) slides += magnitude(value_of(place, q[coordinate]));
+    if (arm.joints[j].slides()) slides += magnitude(value_of(place, q[coordinate]));
   }
   if (slides > arm.room) return false;
-  return waypoint == 0 || most_turn(arm, {q - arm.coordinate_count, q, 0.0, 1.0}) <= kLongestTurn;
+  if (k == 0 || k % paths.degree != 0) return true;
+  return most_turn(arm, curve_of(paths, arm, path, k / paths.degree - 1)) <= kLongestTurn;
 }
 
 // Whether the poses of resting obstacles of a path are valid; those that move are checked before.
