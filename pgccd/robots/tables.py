@@ -100,11 +100,14 @@ def scene_tables(scene: Scene, tables: ArmTables) -> list[Tensor]:
     if scene.static is not None:
         is_static = scene.static.bool()
         may_meet &= ~(is_static[:bodies, None] & is_static)
-    pairs = [(i, j, tables.shared(i, j) if j < bodies else 0) for i, j in torch.nonzero(may_meet).tolist()]
+    pairs = torch.nonzero(may_meet)
+    shared = torch.zeros(len(pairs), dtype=torch.int64)
+    of_robot = torch.nonzero(pairs[:, 1] < bodies).flatten()
+    shared[of_robot] = torch.tensor([tables.shared(i, j) for i, j in pairs[of_robot].tolist()], dtype=torch.int64)
     thickness = scene._thickness
     return [
         scene.mesh_index.to(torch.int32),
         scene.radius,
         torch.zeros(count, dtype=torch.float64) if thickness is None else thickness.contiguous(),
-        torch.tensor(pairs, dtype=torch.int32).reshape(-1, 3),
+        torch.cat([pairs, shared[:, None]], dim=1).to(torch.int32),
     ]

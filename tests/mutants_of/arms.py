@@ -224,7 +224,11 @@ MUTANTS = [
     _arm("pose-error-without-slides", MEASURED, "distance"),
     _arm("pose-error-without-lengths", MEASURED, f"0.0 * {MEASURED}"),
     _arm("pose-error-without-reach", "reach", "0.0 * reach", within="error_length = reach,"),
-    _arm("pose-error-without-scale", "largest(joint.coordinate) * scale", "largest(joint.coordinate)"),
+    _arm(
+        "pose-error-without-scale",
+        "span.curve.largest(joint.coordinate) * scale",
+        "span.curve.largest(joint.coordinate)",
+    ),
     _arm("pose-error-without-offset", "magnitude(place.offset)", "0.0", within="scale + magnitude(place.offset)"),
     _search("first-parts-2", SPAN, "0.99 * kMostTurn", "1.98 * kMostTurn"),
     _search("first-parts-unrounded", SPAN, f"std::ceil({PARTS})", f"std::floor({PARTS})"),
@@ -275,10 +279,14 @@ MUTANTS = [
     _on_curves(
         "deviation-at-rest", KINEMATICS, "error + deviation * arm_detail::kBoundRounding", "error + 0.0 * deviation"
     ),
-    _on_curves("deviation-unscaled", KINEMATICS, "span.begin, span.end) * scale", "span.begin, span.end)"),
     _on_curves(
-        "curves-of-too-long-turns", SPAN, "k / paths.degree - 1)) <= kLongestTurn", "k / paths.degree - 1)) >= 0.0"
+        "deviation-unscaled",
+        KINEMATICS,
+        "scale",
+        "1.0",
+        "motion.deviation = span.curve.deviation(joint.coordinate, span.begin, span.end) * scale",
     ),
+    _on_curves("curves-of-too-long-turns", SPAN, "kLongestTurn", "1e300", "k / paths.degree - 1)) <= kLongestTurn"),
     _search("near-too-early", SPAN, f"2.0 * stray + {TOLERANCE}", f"stray + {TOLERANCE}"),
     _search("near-at-an-end", SPAN, "span.end - span.begin <= kShortestSpan", "span.end - span.begin <= 0.5"),
     Mutant(

@@ -89,6 +89,11 @@ def test_the_deviation_is_attained(tmp_path: Path) -> None:
         for begin, end in ((0.0, 1.0), (0.25, 0.75), (0.45, 0.55)):
             off, bound = most_off(robot, control, begin, end)[-1], float(strays(robot, control, begin, end)[-1])
             assert 0.9995 < off / (bound - float(strays(robot, control, 0.5, 0.5)[-1])) <= 1.0, (begin, end)
+    # A joint that follows another one, three times as far.
+    geared = Part("prismatic", UPRIGHT, UPRIGHT, (0, 1, 0), radius=1e-3, mimic=(0, 3.0, 0.0), parent=-1)
+    robot = loaded(Arm([slider, geared]), tmp_path)
+    off, bound = most_off(robot, parabola[:, None], 0.0, 1.0)[-1], float(strays(robot, parabola[:, None])[-1])
+    assert 0.9995 < off / bound <= 1.0 and abs(off / 1.5e-3 - 1.0) < 1e-6
     # The reach of a body counts as the way to it does.
     robot = loaded(Arm([HINGE]), tmp_path)
     assert 0.9995 < most_off(robot, parabola[:, None], 0.0, 1.0)[0] / float(strays(robot, parabola[:, None])[0]) <= 1.0
@@ -117,6 +122,8 @@ def test_rounding_and_errors_of_curves(tmp_path: Path) -> None:
         assert abs((own - straight) / (degree**2 * 2.0**-50 * 1e3) - 1.0) < 1e-3
         wider = float(strays(robot, still_one, 0.3, 0.3, 0.5)[0])
         assert 0.5 <= wider - own <= 0.5 * (1.0 + 1e-9)
+        of_waypoints = float(strays(robot, still_one[:2], 0.3, 0.3, 0.5)[0])
+        assert 0.5 <= of_waypoints - straight <= 0.5 * (1.0 + 1e-9)
 
 
 def still(robot: Robot, control: np.ndarray, s: float) -> tuple:  # type: ignore[type-arg]

@@ -66,7 +66,7 @@ class WarpTeam {
     const PairTree<RigidBodies> tree = tree_of(bodies);
     float least = kNeverMeet;
     descend(tree, [&](int count) {
-      least = smaller(least, __uint_as_float(__reduce_min_sync(kAllLanes, __float_as_uint(begin_of(tree, count)))));
+      least = smaller(least, least_of_warp(begin_of(tree, count)));
       return least > 0.0f;
     });
     return least == kNeverMeet ? static_cast<double>(INFINITY) : static_cast<double>(least);
@@ -78,15 +78,16 @@ class WarpTeam {
     const PairTree<RigidBodies> tree = tree_of(bodies);
     PairContact best;
     descend(tree, [&](int count) {
-      const float begin = begin_of(tree, count);
-      for (uint32_t lanes = __ballot_sync(kAllLanes, begin != kNeverMeet); lanes != 0; lanes &= lanes - 1) {
-        const int lane = __ffs(static_cast<int>(lanes)) - 1;
-        const float from = __shfl_sync(kAllLanes, begin, lane);
-        if (best.is_found() && from > best.outcome.toi) continue;
-        best = first_of(visit(bodies, tree, query, shared_.leaves[lane].leaves, from, best));
+      float begin = begin_of(tree, count);
+      for (;;) {
+        // The leaves that may meet first: a contact of theirs makes that most others need not be visited.
+        const float first = least_of_warp(begin);
+        if (first == kNeverMeet || (best.is_found() && first > best.outcome.toi)) return true;
+        const int lane = __ffs(static_cast<int>(__ballot_sync(kAllLanes, begin == first))) - 1;
+        best = first_of(visit(bodies, tree, query, shared_.leaves[lane].leaves, first, best));
         if (query.any_will_do && best.is_found()) return false;
+        if (lane_ == lane) begin = kNeverMeet;
       }
-      return true;
     });
     if (!query.tests_start || (query.any_will_do && best.is_found())) return best;
     const PairContact enclosed = search_enclosures(bodies, query);
@@ -94,6 +95,11 @@ class WarpTeam {
   }
 
  private:
+  // Of numbers >= 0, whose bits have the same order.
+  __device__ static float least_of_warp(float value) {
+    return __uint_as_float(__reduce_min_sync(kAllLanes, __float_as_uint(value)));
+  }
+
   __device__ const RigidPair& both() const { return *reinterpret_cast<const RigidPair*>(shared_.both); }
   __device__ const RigidSweep& sweep() const { return *reinterpret_cast<const RigidSweep*>(shared_.sweep); }
   __device__ PairTree<RigidBodies> tree_of(const RigidBodies& bodies) const { return {bodies, sweep(), shared_.poses}; }
