@@ -85,7 +85,6 @@ MUTANTS = [
     _clearance("strays-once", "2.0 * (stray[part, pair[:, 0]]", "1.0 * (stray[part, pair[:, 0]]"),
     _clearance("no-strays", "copies.margin = sum_of_margins(stray.reshape(-1), copies.margin)", "pass"),
     _clearance("too-early-an-end", "< (self.upper - slack)[path]", "< (self.upper - 2.0 * slack)[path]"),
-    _clearance("spheres-as-contacts", "self._spheres_at_start() + tolerance", "self._spheres_at_start()"),
     Mutant(
         "links-fixed-to-the-root-are-neighbours",
         LINKS,

@@ -268,9 +268,12 @@ def _certified(given: Given) -> Columns:
     meshes = [pgccd.Mesh.box(2.0 * half) for half in rng.uniform(0.03, 0.15, (3, 3))]
     position = robot.reach * rng.uniform(-0.6, 0.6, (3, 3))
     obstacles = Obstacles(meshes, torch.tensor(position), torch.tensor(unit_quaternions(rng, 3)))
-    found = robot.certify(torch.tensor(q, device=given.device), obstacles)
-    names = ("verdict", "time", "segment", "toi", "links", "point")
-    return _on_cpu({name: getattr(found, name) for name in names})
+    curves = pgccd.Spline(torch.tensor(q[:, [0, 1, 1, 2, 2]], device=given.device).movedim(0, 1), 2)
+    paths = torch.tensor(q, device=given.device)
+    found = {"": robot.certify(paths, obstacles), "curve ": robot.certify(curves, obstacles)}
+    named = {f"{of}{name}": column for of, each in found.items() for name, column in each.columns.items()}
+    near = robot.clearance(curves, obstacles, tolerance=0.02 * robot.reach)
+    return _on_cpu(named | {f"clearance {name}": column for name, column in near.columns.items()})
 
 
 def _always(given: Given) -> bool:
