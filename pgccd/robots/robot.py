@@ -30,7 +30,7 @@ from pgccd.search.detect import collide
 
 if TYPE_CHECKING:
     from pgccd.robots.certificate import Certificate
-    from pgccd.robots.clearance import Clearance
+    from pgccd.robots.path_clearance import Clearance
     from pgccd.robots.validator import MotionValidator
 
 #: Name, frame and surfaces, in the frame, of a link.
@@ -517,7 +517,7 @@ class Robot:
         Example:
             >>> robot.clearance(torch.zeros(1, 2, robot.joint_count), obstacles)
         """
-        from pgccd.robots.clearance import clearance
+        from pgccd.robots.path_clearance import clearance
 
         return clearance(self, q, obstacles, cutoff=cutoff, tolerance=tolerance)
 

@@ -11,8 +11,8 @@ from pgccd.runtime.sizes import MOST_ROWS, BufferSizes, Capacity, sizes_of
 from pgccd.search.query import Query
 
 _DEFAULT_BUDGET = 1 << 30
-# Capacity relative to what the last step needed.
-_SLACK = 1.25
+# Capacity relative to what the last step needed, and, of large scenes before their first step, to a guess.
+_SLACK, _SPARSE = 1.25, 0.25
 # Memory per pair of the PCS in traversal and narrow phase, in the standard scene, with a safety factor.
 _BYTES_PER_PAIR = 1536
 
@@ -54,7 +54,8 @@ class CapacityEstimate:
             self._size, self.needed = size, needed
 
     def capacity(self, scene: Scene, pairs: Tensor | None, slack: float = _SLACK) -> BufferSizes:
-        """The expected capacity, from the last step or, before the first, from the standard scene.
+        """The expected capacity, from the last step or, before the first, from the standard scene: of a large scene
+        only a part of that.
 
         Args:
             scene: the bodies.
@@ -64,7 +65,8 @@ class CapacityEstimate:
         size, given = (scene.body_count, None) if pairs is None else (len(pairs), len(pairs))
         guess = sizes_of(Capacity.of(scene.body_count, given, scene._self_colliding_vertices))
         if self.needed is None:
-            return guess
+            # A first step of a large scene that is searched twice costs less than memory for the densest one.
+            return guess if guess.bytes <= _DEFAULT_BUDGET else guess.times(_SPARSE)
         capacity = self.needed.times(slack * size / self._size)
         return replace(capacity, launches=max(capacity.launches, guess.launches))
 

@@ -63,7 +63,7 @@ def _spline(name: str, old: str, new: str) -> Mutant:
 
 def _clearance(name: str, old: str, new: str) -> Mutant:
     return Mutant(
-        f"clearance-{name}", "pgccd/robots/clearance.py", old, new, ("robots/test_clearance.py",), switched=False
+        f"clearance-{name}", "pgccd/robots/path_clearance.py", old, new, ("robots/test_clearance.py",), switched=False
     )
 
 

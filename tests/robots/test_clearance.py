@@ -114,6 +114,11 @@ def test_results_on_devices(tmp_path: Path, device: torch.device) -> None:
     found, again = robot.clearance(q.to(device), obstacles), robot.clearance(q, obstacles)
     assert found.lower.device.type == device.type
     assert found.to("cpu") == again
+    for b in range(len(q)):
+        assert robot.clearance(q[b : b + 1], obstacles) == again[[b]]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("pgccd.robots.path_clearance._ROWS_AT_ONCE", 40)
+        assert robot.clearance(q, obstacles) == again
     restored = Clearance.from_state_dict(again.state_dict())
     assert restored == again and again[again.lower > 0.0].lower.min() > 0.0
 

@@ -33,8 +33,8 @@ _OF_DISTANCES, _OF_STRAYS = 0.25, 0.0625
 _MOST_PARTS, _SHORTEST = 8, 2.0**-24
 # Of sums of lengths.
 _ROUNDING = 2.0**-40
-# Parts of segments measured in one call.
-_AT_ONCE = 4096
+# Bodies of all parts measured in one call.
+_ROWS_AT_ONCE = 1 << 18
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -180,7 +180,8 @@ class _Search:
         zero = torch.zeros(len(row), dtype=torch.float64, device=self.device)
         unfinished = _divided((row // segments, row % segments, zero, zero + 1.0), parts.flatten())
         while len(unfinished[0]):
-            measured = [self._measure(*some) for some in zip(*(c.split(_AT_ONCE) for c in unfinished), strict=True)]
+            at_once = max(1, _ROWS_AT_ONCE // self.scene.body_count)
+            measured = [self._measure(*some) for some in zip(*(c.split(at_once) for c in unfinished), strict=True)]
             lower, stray = (torch.cat(columns) for columns in zip(*measured, strict=True))
             path, _, begin, end = unfinished
             wanted = _OF_STRAYS * self.tolerance
