@@ -5,9 +5,9 @@ Files are read by yourdfpy and MuJoCo (`pip install 'pgccd[robots]'`).
 """
 
 from pgccd.robots.certificate import Certificate, Verdict
-from pgccd.robots.path_clearance import Clearance, clearance
 from pgccd.robots.mjcf import load_mjcf
 from pgccd.robots.obstacles import Obstacles
+from pgccd.robots.path_clearance import Clearance, clearance
 from pgccd.robots.path_search import certify
 from pgccd.robots.robot import Robot
 from pgccd.robots.urdf import load_urdf
