@@ -1,4 +1,4 @@
-"""Builds the two extension modules (build_support/extensions.py); everything else is in pyproject.toml."""
+"""Builds the extension module (build_support/extensions.py); everything else is in pyproject.toml."""
 
 import sys
 
@@ -6,8 +6,10 @@ from setuptools import setup
 
 # Source distributions and metadata need neither torch nor a compiler.
 if {"sdist", "egg_info", "dist_info"}.isdisjoint(sys.argv):
-    from build_support.extensions import BuildIncrementally, extension_modules
+    from build_support.extensions import BuildIncrementally, operators_module
 
-    setup(ext_modules=extension_modules(), cmdclass={"build_ext": BuildIncrementally})
+    # A wheel serves every Python from 3.11 on, as the module does.
+    tag = {"bdist_wheel": {"py_limited_api": "cp311"}}
+    setup(ext_modules=[operators_module()], cmdclass={"build_ext": BuildIncrementally}, options=tag)
 else:
     setup()

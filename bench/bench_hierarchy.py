@@ -15,7 +15,7 @@ import torch
 from support import results, timing
 
 import pgccd
-from pgccd import _host
+from pgccd import ops
 from pgccd.geometry.mesh import LEAF_SIZE
 from pgccd.sim.nanorobot import robot_mesh
 
@@ -56,11 +56,10 @@ def cloud(count: int) -> pgccd.Mesh:
 
 def measure(name: str, mesh: pgccd.Mesh, rounds: int) -> dict[str, Any]:
     """One row: microseconds per element, the median."""
-    triangles, count = mesh.faces.numpy(), len(mesh.faces)
-    vertices = (mesh.vertices - mesh.centre_offset).numpy()
+    count, vertices = len(mesh.faces), mesh.vertices - mesh.centre_offset
     works = {
-        "edges and hierarchy": lambda: _host.prepare_mesh(vertices, triangles, LEAF_SIZE),
-        "pgccd.Mesh": lambda: pgccd.Mesh._of_elements(vertices, triangles),
+        "edges and hierarchy": lambda: ops.prepare_mesh(vertices, mesh.faces, LEAF_SIZE),
+        "pgccd.Mesh": lambda: pgccd.Mesh._of_elements(vertices.numpy(), mesh.faces.numpy()),
     }
     tensors = pgccd.MeshSet([mesh]).tensors
     row: dict[str, Any] = {"mesh": name, "elements": count}

@@ -1,7 +1,7 @@
-"""The two extension modules, and how they are compiled. Needs torch and a C++20 compiler.
+"""The extension module, and how it is compiled. Needs torch and a C++20 compiler.
 
-`pgccd._C`     the operators, on torch's stable ABI: one binary serves torch 2.11 and later, and every Python 3.11+.
-`pgccd._host`  host-side work on numpy arrays and the build information, by pybind11, without torch headers.
+`pgccd._C` holds the operators, on the stable ABIs of torch and Python: one binary serves torch 2.11 and later, and
+Python 3.11 and later.
 
 Environment: PGCCD_CUDA=auto|0|1 (build the CUDA kernels if possible, never, or fail without them), CUDA_HOME,
 TORCH_CUDA_ARCH_LIST, CXX, MAX_JOBS (parallel compilers), NVCC_APPEND_FLAGS.
@@ -12,7 +12,6 @@ import hashlib
 import logging
 import os
 import platform
-import shlex
 import subprocess
 import sys
 import tomllib
@@ -70,22 +69,6 @@ def digest_sources() -> str:
     return digest.hexdigest()[:16]
 
 
-def describe_compiler() -> str:
-    answer = subprocess.run(
-        [*shlex.split(os.environ.get("CXX", "c++")), "--version"], stdout=subprocess.PIPE, text=True, check=True
-    )
-    return answer.stdout.splitlines()[0]
-
-
-def pybind11_include() -> str:
-    """The header folder of the pybind11 package or, if that is missing, of the copy inside torch."""
-    try:
-        import pybind11
-    except ImportError:
-        return TORCH_INCLUDE
-    return pybind11.get_include()
-
-
 TORCH_INCLUDE = str(Path(torch.__file__).parent / "include")
 toolkit = choose_cuda_toolkit()
 architectures = choose_cuda_architectures() if toolkit else ""
@@ -137,19 +120,16 @@ CUDA_MACROS = [("USE_CUDA", None), ("PGCCD_WITH_CUDA", None)]
 CUDA_LIBRARIES = ["cudart_static", "rt", "dl", "pthread"]
 CUDA_LINK_FLAGS = ["-Wl,--push-state,--no-as-needed", "-ltorch", "-Wl,--pop-state"]
 
-HOST_MODULE_SOURCE = "csrc/bind/host_module.cpp"
-
-
-def extension_modules() -> list[Extension]:
-    return [operators_module(), host_module()]
+#: build_facts.h, written before compilers start.
+FACTS = BUILD / "facts"
 
 
 def operators_module() -> Extension:
-    sources = glob("csrc/kernels/**/*.cpp", recursive=True) + glob("csrc/bind/*.cpp")
-    sources += glob("csrc/library/*.cpp")
-    sources = [source for source in sources if source != HOST_MODULE_SOURCE]
+    sources = glob("csrc/kernels/**/*.cpp", recursive=True)
+    for folder in ("bind", "library", "mesh"):
+        sources += glob(f"csrc/{folder}/*.cpp")
     options = {
-        "include_dirs": [str(ROOT / "csrc")],
+        "include_dirs": [str(ROOT / "csrc"), str(FACTS)],
         "define_macros": TORCH_MACROS,
         "extra_compile_args": {"cxx": CXX_FLAGS, "nvcc": NVCC_FLAGS},
         "depends": glob("csrc/**/*.h", recursive=True),
@@ -168,27 +148,20 @@ def operators_module() -> Extension:
     return CppExtension("pgccd._C", sorted(sources), **options)
 
 
-def host_module() -> Extension:
-    version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
-    build_information = {
-        "PGCCD_VERSION": version,
-        "PGCCD_BUILD_COMMIT": describe_commit(),
-        "PGCCD_BUILD_SOURCES": digest_sources(),
-        "PGCCD_BUILD_COMPILER": describe_compiler(),
-        "PGCCD_BUILD_TORCH": torch.__version__,
-        "PGCCD_BUILD_CUDA": toolkit.version if toolkit else "",
-        "PGCCD_BUILD_CUDA_ARCHITECTURES": architectures,
+def write_facts() -> None:
+    """A header with a macro for each fact about this build; only one source includes it."""
+    facts = {
+        "VERSION": tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"],
+        "COMMIT": describe_commit(),
+        "SOURCES": digest_sources(),
+        "CUDA": toolkit.version if toolkit else "",
+        "CUDA_ARCHITECTURES": architectures,
     }
-    return Extension(
-        "pgccd._host",
-        [HOST_MODULE_SOURCE, *sorted(glob("csrc/mesh/*.cpp"))],
-        include_dirs=[str(ROOT / "csrc")],
-        define_macros=[(name, f'"{value}"') for name, value in build_information.items()],
-        extra_compile_args={"cxx": ["-isystem", pybind11_include(), *CXX_FLAGS]},
-        extra_link_args=LINK_FLAGS,
-        depends=glob("csrc/**/*.h", recursive=True),
-        language="c++",
-    )
+    FACTS.mkdir(exist_ok=True)
+    text = "".join(f'#define PGCCD_{name} "{value}"\n' for name, value in facts.items())
+    header = FACTS / "build_facts.h"
+    if not header.exists() or header.read_text() != text:
+        header.write_text(text)
 
 
 class BuildIncrementally(BuildExtension):
@@ -198,10 +171,10 @@ class BuildIncrementally(BuildExtension):
         BUILD.mkdir(exist_ok=True)
         with open(BUILD / "lock", "w") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)  # parallel builds would overwrite each other's files
+            write_facts()
             super().run()
 
     def build_extension(self, extension: Extension) -> None:
-        # One folder per module: each has its own build.ninja. Wheels have flags, and so objects, of their own.
-        kind = "wheel-objects" if IS_WHEEL else "objects"
-        self.build_temp = str(BUILD / kind / sys.implementation.cache_tag / extension.name)
+        # Wheels have flags, and so objects, of their own.
+        self.build_temp = str(BUILD / ("wheel-objects" if IS_WHEEL else "objects"))
         super().build_extension(extension)

@@ -1,4 +1,4 @@
-"""Builds a wheel for the Python that runs this into dist/, without network: python -m build_support.wheel
+"""Builds a wheel for Python 3.11 and later into dist/, without network: python -m build_support.wheel
 
 The kernels are compiled for the GPUs in ARCHITECTURES, unless TORCH_CUDA_ARCH_LIST names others; the other variables
 are those of extensions.py. The tag of the wheel names the oldest C library that it runs on, as auditwheel finds it.

@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING as _TYPE_CHECKING
 from typing import Any as _Any
 
 from pgccd import _requirements as _requirements  # first: its errors say what is missing
-from pgccd._host import build_information as _build_information
 from pgccd.auditing.audit import audit
 from pgccd.auditing.results import Audit, Passages, Touching
 from pgccd.contacts.approach import approach_rates
@@ -20,6 +19,7 @@ from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.rotation import integrate_orientation
 from pgccd.motion.splines import Spline
 from pgccd.motion.trajectory import Trajectory
+from pgccd.ops import build_information as _build_information
 from pgccd.resolution.resolve import resolve
 from pgccd.resolution.results import PaddedResolution, Resolution
 from pgccd.resolution.trajectories import TrajectoryResolution

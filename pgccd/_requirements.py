@@ -26,9 +26,9 @@ def check() -> None:
         raise ImportError(f"pgccd needs {wanted}, and this Python ({sys.executable}) has none: {install}") from error
     if tuple(int(number) for number in torch.__version__.split(".")[:2]) < LEAST_TORCH:
         raise ImportError(f"pgccd needs {wanted}, found torch {torch.__version__}: {install}")
-    if importlib.util.find_spec("pgccd._host") is None:
+    if importlib.util.find_spec("pgccd._C") is None:
         raise ImportError(
-            f"pgccd in {__file__.rpartition('/')[0]} is not compiled for Python {platform.python_version()}: run "
+            f"pgccd in {__file__.rpartition('/')[0]} is not compiled: run "
             "`make build` in a source folder; to use an installed pgccd, run Python in another folder"
         )
 
@@ -37,12 +37,9 @@ def operators_do_not_load(error: ImportError) -> ImportError:
     """What is raised if the compiled operators cannot be loaded."""
     import torch
 
-    from pgccd._host import build_information
-
-    build = build_information()["cuda"]
     return ImportError(
-        f"the operators of pgccd ({f'built with CUDA {build}' if build else 'without CUDA'}) do not load beside torch "
-        f"{torch.__version__} (CUDA {torch.version.cuda or 'none'}): {error}"
+        f"the operators of pgccd do not load beside torch {torch.__version__} (CUDA {torch.version.cuda or 'none'}): "
+        f"{error}"
     )
 
 

@@ -2,7 +2,7 @@
 
 import torch
 
-from pgccd._host import build_information
+from pgccd.ops import build_information
 
 __all__ = ["describe_installation"]
 

@@ -57,7 +57,7 @@ name="lower" pos="1 0 0"><joint axis="0 0 1"/><geom type="sphere" size="0.1"/></
 
 def modules() -> Iterator[str]:
     for module in pkgutil.walk_packages(pgccd.__path__, "pgccd."):
-        if not module.name.endswith(("._C", "._host", ".__main__")):
+        if not module.name.endswith(("._C", ".__main__")):
             yield module.name
 
 

@@ -19,7 +19,7 @@ from typing import Any
 import torch
 
 import pgccd
-from pgccd import _host
+from pgccd import ops
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "bench" / "results"
@@ -122,7 +122,7 @@ def versions() -> dict[str, str]:
     found = {
         "pgccd": pgccd.__version__,
         "commit": _commit(),
-        "extension": _host.build_information()["commit"],
+        "extension": ops.build_information()["commit"],
         "torch": torch.__version__,
         "python": platform.python_version(),
     }

@@ -3,6 +3,7 @@
 
 #include <utility>
 
+#include "bind/build_information.h"
 #include "bind/thread_state.h"
 
 namespace pgccd::bind {
@@ -35,7 +36,24 @@ PyObject* set_device_share(PyObject*, PyObject* given) {
   return PyLong_FromLong(std::exchange(pgccd::bind::device_share(), static_cast<int>(share)));
 }
 
+PyObject* build_information(PyObject*, PyObject*) {
+  PyObject* const out = PyDict_New();
+  if (out == nullptr) return nullptr;
+  for (const auto& [name, value] : pgccd::bind::build_information()) {
+    PyObject* const text = PyUnicode_FromString(value);
+    const bool is_set = text != nullptr && PyDict_SetItemString(out, name, text) == 0;
+    Py_XDECREF(text);
+    if (!is_set) {
+      Py_DECREF(out);
+      return nullptr;
+    }
+  }
+  return out;
+}
+
 PyMethodDef methods[] = {
+    {"build_information", build_information, METH_NOARGS,
+     "Version, commit, digest of the C++ sources, compiler and CUDA of this build."},
     {"set_device_share", set_device_share, METH_O,
      "Lets operators called by this thread take 1 / share of a GPU's blocks. Returns the former share."},
     {"take_scratch_peak", take_scratch_peak, METH_NOARGS,

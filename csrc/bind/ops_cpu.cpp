@@ -4,6 +4,7 @@
 #include "bind/cpu_session.h"
 #include "bind/detect_ops.h"
 #include "bind/distance_ops.h"
+#include "bind/mesh_ops.h"
 #include "bind/padded_ops.h"
 #include "bind/resolve_ops.h"
 #include "bind/row_ops.h"
@@ -18,6 +19,7 @@ STABLE_TORCH_LIBRARY_IMPL(pgccd, CPU, library) {
   register_contact_ops<CpuSession>(library);
   register_detect_ops<CpuSession>(library);
   register_distance_ops<CpuSession>(library);
+  register_mesh_ops(library);
   register_padded_ops<CpuSession>(library);
   register_resolve_ops<CpuSession>(library);
   register_row_ops<CpuSession>(library);

@@ -32,6 +32,10 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
   library.def(
       "sound_radii(Tensor of_meshes, Tensor mesh_index, Tensor? given, Tensor position_t0, Tensor position_t1, "
       "Tensor orientation, Tensor rotation, Tensor? margin) -> (Tensor radius, Tensor invalid_rows)");
+  // A mesh, once: vertices (V, 3) f64, faces (F, 3) i32. On CPUs only. Outputs: those of a mesh set.
+  library.def(
+      "prepare_mesh(Tensor vertices, Tensor faces, int leaf_size) -> (Tensor edges, Tensor triangles, "
+      "Tensor node_blocks, Tensor node_links, Tensor leaf_points, Tensor node_supports)");
   // Robots. arm = [joints (F, 3) i32, places (F, 13) f64, crossing (F, F) f64, chain_begin (N + 1,) i32, chain i32,
   // body_reach (N,) f64]; bodies = [mesh_index i32, radius f64, margin f64, of N bodies and M obstacles; pairs (P, 3)
   // i32]; obstacles = [position_t0 (R, M, 3), position_t1, orientation (R, M, 4), rotation, error (M,)], f64: see

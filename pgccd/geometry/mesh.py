@@ -12,7 +12,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from pgccd import _host, arguments
+from pgccd import arguments, ops
 from pgccd.geometry import elements, mesh_files, shapes
 from pgccd.geometry.boxes import elongated_box
 from pgccd.geometry.coordinates import as_array, is_float32, warn_of_rounding
@@ -168,7 +168,8 @@ class Mesh:
                 f"origin: it must lie within {_FURTHEST_ORIGIN:g} SBV radii of the SBV centre {centre.tolist()}, of "
                 f'which one is {radius:g}, but it is {reference.tolist()}; origin="centroid" puts it there'
             )
-        prepared = _host.prepare_mesh(local, table.astype(np.int32), LEAF_SIZE)
+        self.faces = torch.from_numpy(table.astype(np.int32))
+        prepared = ops.prepare_mesh(torch.from_numpy(np.ascontiguousarray(local)), self.faces, LEAF_SIZE)
         self.origin = torch.from_numpy(reference)
         self.centre = torch.from_numpy(centre)
         self.radius = radius if is_one_place else radius * (1.0 + 2.0**-50)
@@ -177,11 +178,10 @@ class Mesh:
         if offset.any():
             self.reach = (self.radius + float(np.linalg.norm(offset))) * (1.0 + 2.0**-50)
         self.vertices = torch.from_numpy(body)
-        self.faces = torch.from_numpy(table.astype(np.int32))
-        self.edges = torch.from_numpy(prepared["edges"])
+        self.edges, self._triangles, self._node_blocks, *others = prepared
+        self._node_links, self._leaf_points, self._node_supports = others
         if len(self.edges) > _MOST_EDGES:
             raise ValueError(f"faces: the mesh has {len(self.edges)} edges; expected at most {_MOST_EDGES}")
-        self._triangles = torch.from_numpy(prepared["triangles"])
         # Corner coordinates of triangles and segments as nine columns, relative to the SBV centre like the hierarchy;
         # padded, so that eight neighbours can be loaded at the last one.
         cornered = self._triangles[: len(table) - self.point_count, :3]
@@ -189,10 +189,6 @@ class Mesh:
         rounded = torch.from_numpy(local).float()
         for corner in range(3):
             self._corners[3 * corner : 3 * corner + 3, : len(cornered)] = rounded[cornered[:, corner]].T
-        self._node_blocks = torch.from_numpy(prepared["node_blocks"]).view(-1, 9, 8)
-        self._node_links = torch.from_numpy(prepared["node_links"]).view(-1, 8, 4)
-        self._leaf_points = torch.from_numpy(prepared["leaf_points"]).view(-1, 4, 8)
-        self._node_supports = torch.from_numpy(prepared["node_supports"]).view(-1, 8, 24)
         # (4, 3) float64, relative to the SBV centre; None for a mesh that fills much of its SBV.
         self._box = None if is_one_place else elongated_box(local, table, radius)
 

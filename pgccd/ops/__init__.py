@@ -29,7 +29,8 @@ from pgccd.ops.detection import (
 )
 from pgccd.ops.distance import distances
 from pgccd.ops.graphs import begin_conditional, end_conditional, has_conditional_nodes
-from pgccd.ops.library import Bodies, set_device_share, take_scratch_peak
+from pgccd.ops.library import Bodies, build_information, set_device_share, take_scratch_peak
+from pgccd.ops.meshes import prepare_mesh
 from pgccd.ops.peers import peer_gather, peer_minimum
 from pgccd.ops.resolve import resolve_first_toi, resolve_pairs, resolve_slow_down
 from pgccd.ops.rows import commit_rows, merge_rows, pack_rows, take_rows, unpack_rows

@@ -85,6 +85,11 @@ def unknown_count() -> torch.SymInt:
     return torch.library.get_ctx().new_dynamic_size(min=0)
 
 
+def build_information() -> dict[str, str]:
+    """Of this build: version, commit, digest of the C++ sources, compiler, CUDA and CUDA architectures."""
+    return _C.build_information()
+
+
 def set_device_share(share: int) -> int:
     """Lets operators called by this thread take 1 / share of a GPU's blocks, 1 <= share <= 1024, where kernels of
     another stream run at the same time and have more to do. Results do not depend on it. Returns the former share.

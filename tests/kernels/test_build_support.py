@@ -62,7 +62,7 @@ def test_the_demo_needs_no_packages_of_other_purposes() -> None:
         assert set(extras) <= set(bootstrap.EXTRAS)
         assert others & set(extras) == {purpose.removeprefix("bench-")}
     needed = {re.split(r"[>=]", each)[0] for each in bootstrap.REQUIREMENTS + bootstrap.EXTRAS["viz"]}
-    assert needed == {"setuptools", "pybind11", "ninja", "numpy", "rich", "safetensors", "matplotlib"}
+    assert needed == {"setuptools", "ninja", "numpy", "rich", "safetensors", "matplotlib"}
 
 
 def test_unknown_purposes_are_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from support.steps import step_of
 
 # Operator, argument (and list element), name in the error message: indices that must be validated.
 INDICES = [
+    ("prepare_mesh", (1,), "faces"),
     ("refit", (1,), "mesh_index"),
     ("refit", (4,), "vertex_begin"),
     ("refit", (5,), "block_begin"),

@@ -81,7 +81,11 @@ def test_an_operator_stands_in_one_header() -> None:
 
 
 def test_operators_are_registered_for_both_sessions() -> None:
-    everywhere, on_cpu, on_cuda = set(), {"register_voxel_ops"}, {"register_peer_ops", "register_graph_ops"}
+    everywhere, on_cpu, on_cuda = (
+        set(),
+        {"register_mesh_ops", "register_voxel_ops"},
+        {"register_peer_ops", "register_graph_ops"},
+    )
     for path in BIND.glob("*_ops.h"):
         everywhere |= set(re.findall(r"template <class Session>\nvoid (register_\w+)", path.read_text()))
     assert len(everywhere) == 9

@@ -16,7 +16,7 @@ import numpy as np
 import torch
 
 import pgccd
-from pgccd._host import build_information
+from pgccd.ops import build_information
 
 
 @functools.cache
