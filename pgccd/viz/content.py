@@ -16,6 +16,7 @@ from pgccd.viz.animation import Animation, Marks, RigidPaths, VertexPaths, thinn
 from pgccd.viz.moment import faint_bodies, poses_at
 from pgccd.viz.raster import placed
 from pgccd.viz.simplify import level_within, simplified, stored_bytes
+from pgccd.viz.waypoints import chosen_waypoints, needed_segments
 
 # Bytes before their encoding as text, which adds a third: the page stays below 5 MB.
 _MOST_BYTES = 3_550_000
@@ -28,6 +29,8 @@ STATIC, COLLIDING, FAINT = 1, 2, 4
 _MOST_CHOICES = 1_000  # worlds in the list of the page; those of contacts are added to it
 # Long trajectories lose waypoints before bodies or triangles, down to this number of segments.
 _LEAST_SEGMENTS = 20
+# Bodies that are drawn, if there are so many, before waypoints of contacts.
+_LEAST_BODIES = 200
 # A mesh for which less is left is not simplified further; bodies are left out instead.
 _LEAST_MESH_BYTES = 2_000
 
@@ -75,17 +78,18 @@ def _thinned(animation: Animation, marks: Marks, notes: list[str]) -> tuple[Anim
     """The animation with fewer waypoints, if it is long; its contacts, by number of segment left; and the waypoints."""
     paths, segments = animation.paths, animation.segment_count
     if isinstance(paths, RigidPaths):
-        fitting = _MOST_ROWS // max(1, paths.start.shape[1])
+        count = paths.start.shape[1]
+        fitting = _MOST_ROWS // max(1, count)
+        # Of many bodies, some that do not collide make room for contacts.
+        crowded = _MOST_ROWS // max(1, int(animation.colliding.sum()), min(count, _LEAST_BODIES))
+        fitting = max(fitting, min(crowded, needed_segments(marks)))
     else:
         moments, size, _ = paths.position.shape
         fitting = int(0.8 * _MOST_BYTES * segments / (12 * max(1, size) * moments)) - 1
     most = max(fitting, _LEAST_SEGMENTS)
     if segments <= most:
         return animation, marks, np.arange(segments + 1)
-    # Both ends of the segments of the first contacts and of the last segment, then others at equal distances.
-    touched = np.unique(marks.segment)[: most // 4]
-    chosen = np.linspace(0, segments, most - 2 * len(touched)).round().astype(np.int64)
-    waypoints = np.unique(np.concatenate([chosen, touched, touched + 1, [segments - 1]]))
+    waypoints = chosen_waypoints(animation, marks, most)
     place = np.searchsorted(waypoints, marks.segment)
     is_whole = (waypoints[np.minimum(place, len(waypoints) - 2)] == marks.segment) & np.isin(
         marks.segment + 1, waypoints

@@ -24,30 +24,79 @@ _MARK, _FIRST_MARK = (0.65, 0.08, 0.20), (0.05, 0.05, 0.08)
 # at which a mark is drawn instead, in the same size, so that no body is in front of it.
 _ARROW, _NEARER = 0.09, 0.1
 _TRIANGLES_AT_ONCE = 1_000_000
+# Part of white in marks behind a surface; radius of the hole before a hidden contact, and what is left in front of the
+# contact, relative to the height of the picture.
+_PALE, _WINDOW, _LEFT = 0.5, 0.16, 0.002
+# Surfaces this near to a contact, relative to its distance from the camera, touch there and hide nothing. How far
+# beside a contact the gap is looked at, relative to the height of the picture.
+_NEAR, _BESIDE = 1e-3, 0.01
 
 
 def write_png(path: Path, animation: Animation) -> Path:
     """Writes all bodies at the time of the first contact, or at the start if there is none, and the contacts of that
-    time: points, and normals as arrows. The bodies of the first contact have two colours.
+    time: points, and normals as arrows. The bodies of the first contact have two colours. Marks of contacts behind a
+    surface are pale; what hides the first contact is cut open, unless that is only one of the two bodies, from outside.
     """
     segment, time, at_time = first_moment(animation)
     bodies = vertices_at(animation, segment, time)
     corners = [np.stack([body.min(axis=0), body.max(axis=0)]) for body in bodies if len(body)] or [np.zeros((1, 3))]
     camera = _camera(np.concatenate(corners), bodies)
     distance = float(np.linalg.norm(camera.eye - camera.target))
-    canvas = Canvas(camera, _BACKGROUND, (0.5 * _NEARER * distance, 2.0 * distance))
+    is_hidden = [_surfaces_before(animation, bodies, camera, animation.marks.point[row]).any() for row in at_time]
+    window = None
+    if len(at_time) and _is_within(animation, bodies, camera, at_time[0]):
+        column, row, depth = camera.project(animation.marks.point[at_time[0]])
+        # In front of the contact a little of the bodies that touch is left.
+        window = column, row, _WINDOW * camera.pixels[1], depth - _LEFT * camera.height
+    canvas = Canvas(camera, _BACKGROUND, (0.5 * _NEARER * distance, 2.0 * distance), window)
     paints = COLOURS[colours_at_first(animation)]
     for vertices, faces, body in _joined(animation, bodies):
         both_sides = np.concatenate([faces, faces[:, ::-1]])
         canvas.draw(vertices, both_sides, paints[np.tile(body, 2)])
-    for row in at_time[::-1].tolist():
+    canvas.window = None
+    for number in reversed(range(len(at_time))):
+        row = at_time[number]
         vertices, faces = _arrow(animation.marks.point[row], animation.marks.normal[row], _ARROW * camera.height)
         nearer = camera.eye + _NEARER * (vertices - camera.eye)
-        canvas.draw(nearer, faces, np.tile(_FIRST_MARK if row == at_time[0] else _MARK, (len(faces), 1)))
+        colour = np.array(_MARK if number else _FIRST_MARK)
+        if is_hidden[number] and not (number == 0 and window):
+            colour = _PALE + (1.0 - _PALE) * colour
+        canvas.draw(nearer, faces, np.tile(colour, (len(faces), 1)))
     width, height = _PIXELS
     image = canvas.image().reshape(height, _FINER, width, _FINER, 3).mean(axis=(1, 3))
     path.write_bytes(_png(np.round(255.0 * image).astype(np.uint8)))
     return path
+
+
+def _surfaces_before(animation: Animation, bodies: list[np.ndarray], camera: Camera, point: np.ndarray) -> np.ndarray:
+    """(N,): how many surfaces of each body are between a point and the camera."""
+    ray, count = camera.eye - point, np.zeros(len(bodies), dtype=np.int64)
+    for vertices, faces, body in _joined(animation, bodies):
+        # Moeller & Trumbore 1997.
+        a, b, c = np.moveaxis(vertices[faces], 1, 0)
+        across = np.cross(ray, c - a)
+        area = np.einsum("ij,ij->i", b - a, across)
+        some = np.where(area == 0.0, 1.0, area)
+        u = np.einsum("ij,ij->i", point - a, across) / some
+        other = np.cross(point - a, b - a)
+        v = other @ ray / some
+        time = np.einsum("ij,ij->i", c - a, other) / some
+        meets = (area != 0.0) & (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (time > _NEAR) & (time < 1.0)
+        count += np.bincount(body[meets], minlength=len(bodies))
+    return count
+
+
+def _is_within(animation: Animation, bodies: list[np.ndarray], camera: Camera, row: int) -> bool:
+    """Whether the gap beside a contact is inside one of its two bodies, or behind another body."""
+    point, normal = animation.marks.point[row], animation.marks.normal[row]
+    beside = camera.eye - point
+    beside = beside - (beside @ normal) * normal
+    point = point + _BESIDE * camera.height * beside / (np.linalg.norm(beside) or 1.0)
+    count = _surfaces_before(animation, bodies, camera, point)
+    i, j = animation.marks.bodies[row]
+    is_inside = count[i] % 2 == 1 or count[j] % 2 == 1
+    count[[i, j]] = 0
+    return bool(is_inside or count.any())
 
 
 def _camera(corners: np.ndarray, bodies: list[np.ndarray]) -> Camera:

@@ -48,11 +48,17 @@ class Canvas:
         camera: the view.
         background: colour, three numbers in [0, 1].
         depth_range: nearest and farthest depth to be drawn.
+        window: column, row, radius and depth: within this circle of pixels nothing nearer is drawn.
     """
 
     def __init__(
-        self, camera: Camera, background: tuple[float, float, float], depth_range: tuple[float, float]
+        self,
+        camera: Camera,
+        background: tuple[float, float, float],
+        depth_range: tuple[float, float],
+        window: tuple[float, float, float, float] | None = None,
     ) -> None:
+        self.window = window
         self.camera = camera
         self._background = np.asarray(background)
         self._near, self._far = depth_range
@@ -125,6 +131,10 @@ class Canvas:
     def _put(self, column: np.ndarray, row: np.ndarray, depth: np.ndarray, paint: np.ndarray) -> None:
         width, height = self.camera.pixels
         seen = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+        if self.window is not None:
+            middle, height_of_middle, radius, before = self.window
+            is_within = (column - middle) ** 2 + (row - height_of_middle) ** 2 < radius**2
+            seen &= ~(is_within & (depth < before))
         level = np.clip((depth[seen] - self._near) / (self._far - self._near), 0.0, 1.0) * _DEPTH_LEVELS
         key = (level.astype(np.uint64) << np.uint64(24)) | paint[seen]
         np.minimum.at(self._nearest, row[seen].astype(np.int64) * width + column[seen].astype(np.int64), key)
