@@ -27,9 +27,8 @@ _TRIANGLES_AT_ONCE = 1_000_000
 # Part of white in marks behind a surface; radius of the hole before a hidden contact, and what is left in front of the
 # contact, relative to the height of the picture.
 _PALE, _WINDOW, _LEFT = 0.5, 0.16, 0.002
-# Surfaces this near to a contact, relative to its distance from the camera, touch there and hide nothing. How far
-# beside a contact the gap is looked at, relative to the height of the picture.
-_NEAR, _BESIDE = 1e-3, 0.01
+# Surfaces this near to a contact, relative to its distance from the camera, touch there and hide nothing.
+_NEAR = 1e-3
 
 
 def write_png(path: Path, animation: Animation) -> Path:
@@ -44,7 +43,7 @@ def write_png(path: Path, animation: Animation) -> Path:
     distance = float(np.linalg.norm(camera.eye - camera.target))
     is_hidden = [_surfaces_before(animation, bodies, camera, animation.marks.point[row]).any() for row in at_time]
     window = None
-    if len(at_time) and _is_within(animation, bodies, camera, at_time[0]):
+    if len(at_time) and _is_enclosed(animation, bodies, camera, at_time[0]):
         column, row, depth = camera.project(animation.marks.point[at_time[0]])
         # In front of the contact a little of the bodies that touch is left.
         window = column, row, _WINDOW * camera.pixels[1], depth - _LEFT * camera.height
@@ -86,17 +85,22 @@ def _surfaces_before(animation: Animation, bodies: list[np.ndarray], camera: Cam
     return count
 
 
-def _is_within(animation: Animation, bodies: list[np.ndarray], camera: Camera, row: int) -> bool:
-    """Whether the gap beside a contact is inside one of its two bodies, or behind another body."""
-    point, normal = animation.marks.point[row], animation.marks.normal[row]
-    beside = camera.eye - point
-    beside = beside - (beside @ normal) * normal
-    point = point + _BESIDE * camera.height * beside / (np.linalg.norm(beside) or 1.0)
+def _is_enclosed(animation: Animation, bodies: list[np.ndarray], camera: Camera, row: int) -> bool:
+    """Whether a contact is behind a third body, or inside one of its two bodies, where the other one is."""
+    point, (i, j) = animation.marks.point[row], animation.marks.bodies[row]
     count = _surfaces_before(animation, bodies, camera, point)
-    i, j = animation.marks.bodies[row]
-    is_inside = count[i] % 2 == 1 or count[j] % 2 == 1
     count[[i, j]] = 0
-    return bool(is_inside or count.any())
+    for outer, inner in ((i, j), (j, i)):
+        if _is_closed(animation.shapes[animation.shape_index[outer]].faces):
+            furthest = bodies[inner][np.argmax(((bodies[inner] - point) ** 2).sum(axis=1))]
+            count[outer] = _surfaces_before(animation, bodies, camera, furthest)[outer] % 2
+    return bool(count.any())
+
+
+def _is_closed(faces: np.ndarray) -> bool:
+    """Whether each edge belongs to two faces."""
+    edges = np.sort(np.concatenate([faces[:, :2], faces[:, 1:], faces[:, ::2]]), axis=1)
+    return bool((np.unique(edges, axis=0, return_counts=True)[1] == 2).all())
 
 
 def _camera(corners: np.ndarray, bodies: list[np.ndarray]) -> Camera:

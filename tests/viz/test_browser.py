@@ -243,6 +243,35 @@ def test_margins_are_shells_around_bodies(open_page: Callable[[viz.Page], Any]) 
     assert name_of(colour_at(tab, other)) == "nothing"  # it has none
 
 
+def test_glass_and_pale_marks_show_what_is_inside(open_page: Callable[[viz.Page], Any]) -> None:
+    """A ball that meets a shell from within."""
+    scene = pgccd.Scene([pgccd.Mesh.icosphere(1.0, 3), pgccd.Mesh.icosphere(0.3, 2)])
+    q, x = torch.tensor([[1.0, 0, 0, 0]] * 2).double(), torch.zeros(2, 3).double()
+    motion = pgccd.RigidMotion(x, q, x + torch.tensor([[0.0, 0, 0], [0.8, 0.1, 0.1]]), q)
+    hits = pgccd.detect(scene, motion)
+    tab = open_page(viz.Page.of(scene, motion, hits))
+    tab.click("#next")
+    settled(tab)
+    point = hits.point[0].numpy()
+    tab.evaluate("([x, y]) => { camera.azimuth = Math.atan2(-y, -x); camera.elevation = 0; }", point[:2].tolist())
+    settled(tab)
+    hidden = colour_at(tab, point)  # behind the shell
+    assert 45 < hidden.max() < 200 and hidden[0] > 1.3 * hidden[2]
+    tab.check("#glass")
+    settled(tab)
+    assert colour_at(tab, point).max() < 40 and colour_at(tab, 0.6 * point + [0.0, 0.0, 0.2]).max() > 100
+
+
+def test_large_pages_begin_with_some_bodies(open_page: Callable[[viz.Page], Any]) -> None:
+    count = 400
+    x = torch.cartesian_prod(*[torch.arange(8.0)] * 3)[:count].double() * 3.0
+    q = torch.tensor([[1.0, 0, 0, 0]]).repeat(count, 1).double()
+    scene = pgccd.Scene([pgccd.Mesh.icosphere(1.0, 4)], [0] * count)
+    tab = open_page(viz.Page.of(scene, pgccd.RigidMotion(x, q, x, q)))
+    assert tab.evaluate("triangles") > 2e6 and tab.evaluate("share") == 1 and tab.evaluate("frames") > 2
+    assert "400 of 400" in tab.inner_text("#drawn") and tab.inner_text("#slow") == ""
+
+
 def test_slow_machines_leave_out_bodies_that_do_not_collide_and_say_so(open_page: Callable[[viz.Page], Any]) -> None:
     count = 64
     x = torch.zeros(count, 3).double()

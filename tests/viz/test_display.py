@@ -255,3 +255,31 @@ def test_a_file_that_cannot_be_written_is_refused_before_the_work(
     with pytest.raises(OSError):
         pgccd.show(*meeting(), path=kept / "scene.html")
     assert kept.read_text() == "kept" and os.listdir(tmp_path) == ["kept.html"]
+
+
+def test_png_cuts_open_what_encloses_the_first_contact(tmp_path: Path) -> None:
+    """A ball that meets a shell from within; then a ball behind a wall. From outside nothing is cut."""
+    shell, small = pgccd.Mesh.icosphere(1.0, 4), pgccd.Mesh.icosphere(0.3, 3)
+    q = torch.tensor([[1.0, 0, 0, 0]] * 3).double()
+
+    def found(start: list[list[float]], end: list[list[float]], meshes: list[pgccd.Mesh]) -> dict[str, int]:
+        scene, count = pgccd.Scene(meshes), len(meshes)
+        motion = pgccd.RigidMotion(torch.tensor(start).double(), q[:count], torch.tensor(end).double(), q[:count])
+        hits = pgccd.detect(scene, motion)
+        assert len(hits) == 1
+        return areas(picture(pgccd.show(scene, motion, hits, path=tmp_path / "cut.png")))
+
+    inside = found([[0.0, 0, 0], [0.0, 0, 0]], [[0.0, 0, 0], [0.8, 0.1, 0.1]], [shell, small])
+    assert inside["second"] > 10_000 and inside["marks"] > 300
+    open_shell = pgccd.Mesh(shell.vertices, shell.faces[1:])
+    assert found([[0.0, 0, 0], [0.0, 0, 0]], [[0.0, 0, 0], [0.8, 0.1, 0.1]], [open_shell, small])["second"] == 0
+    # From the camera's side: the small ball hides the contact, whose mark is pale.
+    towards = [0.43, -0.8, 0.4]
+    start = [[0.0, 0, 0], [1.6 * x for x in towards]]
+    outside = found(start, [[0.0, 0, 0], towards], [shell, small])
+    assert outside["second"] > 10_000 and outside["marks"] < 100
+    # Two balls behind a wall.
+    wall = pgccd.Mesh.box([4.0, 0.1, 4.0])
+    start, end = [[0.0, 0, 0], [1.0, 0, 0], [0.6, -1.2, 0.6]], [[0.0, 0, 0], [0.3, 0, 0], [0.6, -1.2, 0.6]]
+    behind = found(start, end, [small, small, wall])
+    assert behind["second"] > 3000 and behind["free"] > 100_000 and behind["marks"] > 300

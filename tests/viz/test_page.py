@@ -17,7 +17,7 @@ import pgccd
 from pgccd import sim, viz
 from pgccd.runtime.sizes import sizes_of
 from pgccd.viz import content
-from pgccd.viz.animation import RigidPaths, animation_of
+from pgccd.viz.animation import Marks, RigidPaths, animation_of
 from pgccd.viz.raster import placed
 
 IDENTITY = [1.0, 0.0, 0.0, 0.0]
@@ -400,6 +400,44 @@ def test_long_trajectories_keep_the_segments_with_contacts() -> None:
     # A merged segment ends where the next one begins.
     merged = next(k for k in range(len(kept) - 2) if kept[k + 1] > kept[k] + 1)
     assert np.allclose(vertices_at(data, merged, 1.0)[7], vertices_at(data, merged + 1, 0.0)[7], atol=1e-4)
+
+
+def test_contacts_come_before_bodies_that_do_not_collide() -> None:
+    """Random walks with more contacts than evenly spaced waypoints; what is left out collides with nothing."""
+    bodies, waypoints, rng = 600, 301, np.random.default_rng(6)
+    steps = 0.03 * rng.normal(size=(waypoints, bodies, 3))
+    x = torch.tensor(rng.uniform(0.0, 1.0, (1, bodies, 3)) * [40.0, 40.0, 16.0] + steps.cumsum(axis=0))
+    q = torch.tensor(IDENTITY).double().expand(waypoints, bodies, 4)
+    scene, trajectory = pgccd.Scene([ball(1, 0.5)], [0] * bodies), pgccd.Trajectory(x, q)
+    hits = pgccd.detect(scene, trajectory)
+    needed = 2 * len(hits.segment.unique())
+    assert needed > content._MOST_ROWS // bodies and len(hits.pairs.unique()) < content._MOST_ROWS // needed
+    page = viz.Page.of(scene, trajectory, hits)
+    data = data_of(page)
+    assert data["contacts"]["count"] == len(hits) and len(page.html) < 5e6
+    count = data["bodies"]["count"]
+    assert content._LEAST_BODIES <= count < bodies and len(page.left_out) == 2
+    assert page.left_out[1].startswith(f"{count} of 600 bodies are on this page, all ")
+
+
+def test_waypoints_are_kept_where_paths_bend() -> None:
+    """A path of five straight parts, and a turn in one of them."""
+    waypoints, kinks = 5001, [0, 700, 1900, 2000, 4400, 5000]
+    places = np.interp(np.arange(waypoints), kinks, [0.0, 3.0, 1.0, 6.0, 6.5, -2.0])
+    x = torch.zeros(waypoints, 10, 3).double()
+    x[:, 0, 1] = torch.from_numpy(places)
+    q = torch.tensor(IDENTITY).double().repeat(waypoints, 10, 1)
+    scene = pgccd.Scene([ball(1)], [0] * 10)
+    kept = data_of(viz.Page.of(scene, pgccd.Trajectory(x, q)))["waypoints"]
+    assert set(kinks) <= set(kept) and len(kept) < 3600
+    assert content.chosen_waypoints(animation_of(scene, pgccd.Trajectory(x, q)), Marks.none(), 6).tolist() == sorted(
+        {*kinks, 4999}
+    )
+    angle = torch.linspace(0.0, 2.0, 601).double()
+    q[700:1301, 0, 0], q[700:1301, 0, 3] = torch.cos(angle), torch.sin(angle)
+    q[1301:] = q[1300]
+    turning = content.chosen_waypoints(animation_of(scene, pgccd.Trajectory(x, q)), Marks.none(), 30)
+    assert ((turning > 700) & (turning < 1300)).sum() >= 10
 
 
 @pytest.mark.parametrize("waypoints", [2, 400])
