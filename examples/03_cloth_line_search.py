@@ -61,23 +61,7 @@ def free_step(x: torch.Tensor, direction: torch.Tensor) -> float:
 def near(x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """Vertices (K, 4) and weights (K, 4) of the gap vectors between features closer than REACH."""
     hits = pgccd.detect(scene, pgccd.VertexMotion(x, x), "all", min_separation=REACH)
-    meshes, first = (sheet, ball), torch.tensor([0, count])
-    rows, weights = [], []
-    for pair, kind, (f, g), (u, v) in zip(
-        hits.pairs.tolist(), hits.kind.tolist(), hits.features.tolist(), hits.coordinates.tolist(), strict=True
-    ):
-        i, j = (meshes[body] for body in pair)
-        at_i, at_j = (int(first[body]) for body in pair)
-        if kind == pgccd.Kind.EE:
-            rows.append([*(i.edges[f] + at_i).tolist(), *(j.edges[g] + at_j).tolist()])
-            weights.append([u - 1.0, -u, 1.0 - v, v])
-        elif kind == pgccd.Kind.VF_AB:
-            rows.append([f + at_i, *(j.faces[g] + at_j).tolist()])
-            weights.append([-1.0, 1.0 - u - v, u, v])
-        elif kind == pgccd.Kind.VF_BA:
-            rows.append([g + at_j, *(i.faces[f] + at_i).tolist()])
-            weights.append([-1.0, 1.0 - u - v, u, v])
-    return torch.tensor(rows, dtype=torch.int64).view(-1, 4), torch.tensor(weights, dtype=torch.float64).view(-1, 4)
+    return hits.stencils(scene)
 
 
 # %%

@@ -12,6 +12,8 @@ from torch import Tensor
 from pgccd import arguments
 from pgccd.contacts.by_body import By, SceneBodies, any_contact, first_time, owners
 from pgccd.contacts.rows import Columns, Form, Rows, have_equal_bits
+from pgccd.contacts.stencils import stencils_of
+from pgccd.geometry.scene import Scene
 from pgccd.ops import ContactRows
 from pgccd.runtime.sizes import BufferSizes, Capacity
 
@@ -235,6 +237,33 @@ class ContactColumns(PairColumns):
         """
         self._require_all_ranks()
         return self._first_time(self.toi, by, self._incomplete)
+
+    def stencils(self, scene: Scene) -> tuple[Tensor, Tensor]:
+        """Each contact as a weighted sum of the four vertices of its features: with negative weights for body i, the
+        sum of weight times position at toi is the gap, from i to j. The same weights spread a force over the vertices.
+
+        Args:
+            scene: of which these are the contacts.
+
+        Returns:
+            Vertices (K, 4) int64, rows of the vertices of the scene's bodies, one body after the other, as in a
+            `VertexMotion`; and weights (K, 4) float64. 0 for contacts without a stencil: edges through faces at the
+            start, bodies inside of solids, and padding.
+
+        Raises:
+            TypeError, ValueError: `scene` has another number of bodies; or these are contacts of one of several ranks.
+
+        Example:
+            >>> vertices, weights = hits.stencils(scene)
+            >>> pushed = 0.1 * weights[..., None] * hits.normal[:, None]  # (K, 4, 3)
+            >>> pushed.sum(dim=1).abs().max() < 1e-12  # opposite forces on the two features
+            tensor(True)
+        """
+        self._require_all_ranks()
+        arguments.instance(scene, "scene", Scene)
+        if self.body_count != scene.body_count:
+            raise ValueError(f"scene: has {scene.body_count} bodies, the contacts are of {self.body_count}")
+        return stencils_of(scene, self.pairs, self.kind, self.features, self.coordinates)
 
     def _first_time(self, time: Tensor, by: By, incomplete: Tensor | None = None) -> Tensor:
         """The least `time` (K,) of contacts; 0 if `incomplete` (1,) bool."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TypedDict, Unpack, cast, overload
@@ -127,7 +128,7 @@ def resolve(
 
     Raises:
         TypeError, ValueError: naming the argument; also if an input requires grad. A UserWarning names a scene whose
-            only body is not tested against itself.
+            only body is not tested against itself, and a deforming body that moves and gets fraction 0.
 
     Example:
         >>> resolved = pgccd.resolve(scene, motion)
@@ -164,6 +165,16 @@ def resolve(
         fixed = bool_column(movable, "movable", scene.body_count, scene.device) == 0
     step = _Step(bodies, query, broad_phase, fixed)
     return step.resolve(motion) if sizes is None else step.resolve_padded(motion, sizes, count)
+
+
+def _warn_of_held(body: int) -> None:
+    """Warns that one contact holds a whole body that deforms."""
+    warnings.warn(
+        f"resolve: body {body} deforms and has fraction 0: a contact at the start stops all of its vertices. Push the "
+        "vertices of contacts apart first, see docs/how-to/cloth.md",
+        UserWarning,
+        stacklevel=4,
+    )
 
 
 @dataclass
@@ -215,7 +226,15 @@ class _Step:
         touching = contacts.pairs[contacts.toi == 0.0]
         made = cast(M, shortened(scene, motion, fraction))
         meeting = contacts.pairs
-        if bool((fraction < 1.0).any()):
+        is_any_stopped = (fraction < 1.0).any()
+        if isinstance(motion, VertexMotion):
+            held = (fraction == 0.0) & ~at_rest(scene, motion)
+            is_stopped, is_held = torch.stack([is_any_stopped, held.any()]).tolist()
+            if is_held:
+                _warn_of_held(int(held.int().argmax()))
+        else:
+            is_stopped = bool(is_any_stopped)
+        if is_stopped:
             meeting = detect_moving(MovingBodies.of(scene, made), self._any, self.broad_phase).pairs
         rest = _are_both(at_rest(scene, made), meeting)
         touching = union_of_pairs(touching, meeting[rest], scene.body_count)
