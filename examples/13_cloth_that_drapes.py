@@ -52,8 +52,8 @@ def proposed(y: torch.Tensor) -> torch.Tensor:
 
 # %%
 # **The push.** `stencils` writes the gap of each contact as a weighted sum of four vertices. Where the gap at the end
-# of the proposal is less than wanted, the vertices move along the normal, each by the mean of what its contacts ask for.
-# The pushed vertices may meet others, so the search is repeated.
+# of the proposal is less than wanted, the vertices move along the normal, each by the mean of what its contacts ask
+# for. The pushed vertices may meet others, so the search is repeated.
 
 THICKNESS, REACH = 2e-3, 4e-3
 
