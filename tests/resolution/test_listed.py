@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 from fractions import Fraction
 from typing import Any
 from unittest import mock
 
 import pytest
 import torch
+from support.cases import checked_as
 from support.random_scenes import random_scene
 from support.same_bits import difference
 from torch import Tensor
@@ -115,17 +117,19 @@ def test_first_toi_of_padded_contacts(device: torch.device) -> None:
     assert first.tolist() == [0.5, 0.75, torch.inf, 0.25]
 
 
-def test_operators_have_consistent_fake_kernels() -> None:
+@checked_as
+def test_operators_have_consistent_fake_kernels(utilities: tuple[str, ...]) -> None:
+    check = functools.partial(torch.library.opcheck, test_utils=utilities)
     scene, motion = bodies_of(5, 1)
     own = pgccd.MovingBodies.of(scene, motion).tensors
     half = torch.full((5,), 0.5, dtype=torch.float64)
     # All rows: those past the last pair are undefined.
     pairs, changed = torch.tensor([[0, 1], [1, 4], [-1, -1]]), torch.ones(5, dtype=torch.uint8)
     none = [column[:0] for column in own]
-    torch.library.opcheck(torch.ops.pgccd.resolve_pairs, (own, none, half, changed, pairs, False, False, 2))
+    check(torch.ops.pgccd.resolve_pairs, (own, none, half, changed, pairs, False, False, 2))
     none_yet = torch.zeros(1, dtype=torch.int64)
-    torch.library.opcheck(torch.ops.pgccd.resolve_slow_down, (half.clone(), half, changed, none_yet, 0.99, 0.01))
-    torch.library.opcheck(torch.ops.pgccd.resolve_first_toi, (half, pairs[:2], half[:2]))
+    check(torch.ops.pgccd.resolve_slow_down, (half.clone(), half, changed, none_yet, 0.99, 0.01))
+    check(torch.ops.pgccd.resolve_first_toi, (half, pairs[:2], half[:2]))
 
 
 def columns_of(resolved: Any) -> dict[str, Tensor]:

@@ -22,13 +22,13 @@ from robots.test_path_search import boxes, untested
 BLOCK = Part("prismatic", UPRIGHT, UPRIGHT, (1, 0, 0), half=(0.1, 0.1, 0.1))
 
 
-@pytest.mark.parametrize("seed", mostly_slow(range(10), [0, 1, 2]))
+@pytest.mark.parametrize("seed", mostly_slow(range(10), [1, 2]))
 def test_bounds_of_random_paths(seed: int, tmp_path: Path) -> None:
     """Waypoints and curves, obstacles at rest, of environments of their own, and moving."""
     rng = np.random.default_rng([seed, 10])
     arm = beams(4) if seed % 2 else random_arm(rng, 5)
     robot = loaded(arm, tmp_path)
-    degree, paths, segments, samples = (1, 3)[seed // 2 % 2], 4, 2, 401
+    degree, paths, segments, samples = (1, 3)[seed // 2 % 2], 4, 2, 201
     control = rng.uniform(-1.0, 1.0, (1, paths, robot.joint_count))
     control = control + 0.3 * rng.normal(size=(segments * degree + 1, paths, robot.joint_count)).cumsum(axis=0)
     still, frames, half = boxes(rng, 4, 0.7 * robot.reach, 1.2 * robot.reach)

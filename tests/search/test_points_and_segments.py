@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from oracle.surfaces import boundary_distance
+from support.cases import few_and_many
 from support.distances import Moving, assert_bounds_exactly, turned
 from support.hierarchies import assert_encloses, prepared, walk
 from support.shapes import bumpy, directions, tensors, unit_quaternions
@@ -95,8 +96,9 @@ def test_first_contacts_of_random_bodies(kinds: tuple[int, int], path: str, devi
 
 
 @pytest.mark.parametrize("kinds", [(i, j) for i in range(4) for j in range(i, 4)])
-def test_distances_of_random_bodies(kinds: tuple[int, int], device: torch.device) -> None:
-    for seed in range(3):
+@few_and_many("seeds", 1, 3)
+def test_distances_of_random_bodies(kinds: tuple[int, int], seeds: int, device: torch.device) -> None:
+    for seed in range(seeds):
         bodies = pair(seed, *kinds)
         bodies.end[1] = bodies.start[1] + 0.3 * bodies.end[1]
         found = bodies.distance(device)

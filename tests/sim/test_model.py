@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import math
 
 import pytest
 import torch
+from support.cases import checked_as
 from support.steps import step_of
 
 import pgccd
@@ -128,20 +130,22 @@ def test_bad_configurations_name_the_field(wrong: dict, field: str) -> None:
         ModelConfig(**wrong)
 
 
-def test_operators_have_consistent_fake_kernels() -> None:
+@checked_as
+def test_operators_have_consistent_fake_kernels(utilities: tuple[str, ...]) -> None:
+    check = functools.partial(torch.library.opcheck, test_utils=utilities)
     model = Model(ModelConfig(robots=5, pattern="skewed"))
     state = model.start()
     columns = list(state.columns.values())
     half = torch.full((5,), 0.5, dtype=torch.float64)
     settings = (model._integers, model._scales)
-    torch.library.opcheck(torch.ops.pgccd.simulate_start, (state.id, *settings))
-    torch.library.opcheck(torch.ops.pgccd.simulate_plan, (columns, torch.tensor([3]), *settings))
-    torch.library.opcheck(torch.ops.pgccd.simulate_respond, (columns, half))
+    check(torch.ops.pgccd.simulate_start, (state.id, *settings))
+    check(torch.ops.pgccd.simulate_plan, (columns, torch.tensor([3]), *settings))
+    check(torch.ops.pgccd.simulate_respond, (columns, half))
     plan = [state.velocity, state.angular_velocity, state.target, state.stay_until]
     discard = torch.zeros(1, dtype=torch.int64)
     copies = [column.clone() for column in state.columns.values()]
-    torch.library.opcheck(torch.ops.pgccd.simulate_commit, (copies, plan, half, discard))
-    torch.library.opcheck(torch.ops.pgccd.random_uniforms, (state.id, 1, 2, 3))
+    check(torch.ops.pgccd.simulate_commit, (copies, plan, half, discard))
+    check(torch.ops.pgccd.random_uniforms, (state.id, 1, 2, 3))
 
 
 def test_results_do_not_depend_on_the_number_of_threads() -> None:

@@ -197,7 +197,7 @@ def test_errors_of_mujoco() -> None:
         pgccd.simulators.MuJoCo(empty)
 
 
-@pytest.mark.timeout(300)
+@pytest.mark.slow  # Warp compiles kernels
 def test_newton(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     newton, warp = pytest.importorskip("newton"), pytest.importorskip("warp")
     warp.config.quiet = True

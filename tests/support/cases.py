@@ -13,6 +13,11 @@ def few_and_many(name: str, few: int, many: int) -> pytest.MarkDecorator:
     return pytest.mark.parametrize(name, [few, pytest.param(many, marks=pytest.mark.slow)])
 
 
+#: Parts of `torch.library.opcheck`: the last two, which trace the operators, in slow runs.
+OPCHECK = ("test_schema", "test_faketensor"), ("test_autograd_registration", "test_aot_dispatch_dynamic")
+checked_as = pytest.mark.parametrize("utilities", [OPCHECK[0], pytest.param(OPCHECK[1], marks=pytest.mark.slow)])
+
+
 def mostly_slow(cases: Iterable[Any], quick: Collection[Any]) -> list[Any]:
     """The cases as parameters, of which all but the `quick` ones are slow tests. A tuple has a case's parameters."""
     return [
