@@ -493,6 +493,8 @@ def _audit(options: argparse.Namespace) -> int:
         return 0
     for row in [] if options.quiet else rows:
         print("  ".join(f"{name}={_plain(value)}" for name, value in row.items()))
+    for row in [] if options.quiet else _touching_rows(found.touching, names):
+        print("touching  " + "  ".join(f"{name}={_plain(value)}" for name, value in row.items()))
     figures = {"bodies": scene.body_count, "frames": found.frames}
     figures |= {name: len(getattr(found, name)) for name in ("passages", "touching", "enclosed")}
     print(" ".join(f"{name}={value}" for name, value in (figures | page).items()))
@@ -519,6 +521,13 @@ def _naming_options(source: str, device: torch.device) -> Iterator[None]:
 def _names_of(pairs: list[list[int]], names: Sequence[str] | None) -> dict[str, list[Any]]:
     """The names of pairs of bodies as a column, if they have names."""
     return {} if names is None else {"names": [[names[body] for body in pair] for pair in pairs]}
+
+
+def _touching_rows(touching: pgccd.Touching, names: Sequence[str] | None) -> list[dict[str, Any]]:
+    pairs = touching.pairs.tolist()
+    columns: dict[str, list[Any]] = {"pair": pairs} | _names_of(pairs, names)
+    columns |= {name: getattr(touching, name).tolist() for name in ("first", "last")}
+    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
 
 def _contact_rows(hits: pgccd.Contacts | pgccd.CollidingPairs, names: Sequence[str] | None) -> list[dict[str, Any]]:

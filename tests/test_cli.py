@@ -395,7 +395,11 @@ def test_names_of_saved_scenes_are_printed(tmp_path: Path, capsys: pytest.Captur
     pair, row = names[:2], '  names="table, left","cup \\"blue\\""  segment=0  toi=0.375  '
     assert main(["audit", "--scene", path]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0].startswith(f"pair=0,1{row}") and lines[1] == "bodies=3 frames=3 passages=1 touching=1 enclosed=0"
+    assert lines[0].startswith(f"pair=0,1{row}")
+    assert lines[1:] == [
+        'touching  pair=0,1  names="table, left","cup \\"blue\\""  first=2  last=2',
+        "bodies=3 frames=3 passages=1 touching=1 enclosed=0",
+    ]
     assert main(["audit", "--scene", path, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["passages"][0]["names"] == pair and found["touching"]["names"] == [pair]

@@ -9,6 +9,7 @@ from unittest import mock
 import pytest
 import torch
 from support.cases import mostly_slow
+from support.comments import run_checked
 from support.documents import (
     CHECKED_BY_THEMSELVES,
     EXAMPLES,
@@ -114,6 +115,13 @@ def test_wrong_loops_are_noticed(old: str, new: str, problem: str) -> None:
         names = run_document(ROOT / "README.md", old, new)
     with pytest.raises(AssertionError, match=problem):
         check_loop("README.md", steps, names)
+
+
+def test_wrong_values_in_comments_are_noticed() -> None:
+    right = "x = 0.2107\nx  # 0.21: of the way\n(x, [True, 'a'])  # (0.211, [True, 'a'])\nx  # the way: 7\n"
+    assert run_checked(right, "page", {}) == []
+    for line in ("x  # 0.23", "x  # 'a', 0.21", "[x > 1]  # [True]", "[]  # 0.21", "x  # 0.2 and 4 more"):
+        assert len(run_checked(f"x = 0.2107\n{line}", "page", {})) == 1, line
 
 
 def test_all_documents_are_found() -> None:

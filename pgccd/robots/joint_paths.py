@@ -32,7 +32,7 @@ class JointPaths:
 
     @classmethod
     def of(cls, robot: Robot, q: Tensor | Spline) -> JointPaths:
-        """Paths given as waypoints (B, T, J), or as a spline of configurations (J,) or (B, J).
+        """Paths given as waypoints (T, J) or (B, T, J), or as a spline of configurations (J,) or (B, J).
 
         Raises:
             TypeError, ValueError: they are something else, or require grad.
@@ -44,11 +44,13 @@ class JointPaths:
                 raise ValueError(f"q: expected {expected}, got {tuple(shape)}")
             control = q.control.reshape(len(q.control), -1, count).swapaxes(0, 1)
             return cls(control.contiguous(), q.degree, q.error)
-        q = robot._configurations(q, "q")
+        count = robot.joint_count
+        expected = f"waypoints (T, {count}) or (B, T, {count}) with T >= 2"
+        q = robot._configurations(arguments.real_numbers(q, "q", expected), "q")
         arguments.refuse_gradient(q, "q")
-        if q.dim() != 3 or q.shape[1] < 2:
-            raise ValueError(f"q: expected shape (B, T, {robot.joint_count}) with T >= 2, got {tuple(q.shape)}")
-        return cls(q)
+        if q.dim() not in (2, 3) or q.shape[-2] < 2:
+            raise ValueError(f"q: expected {expected}, got shape {tuple(q.shape)}")
+        return cls(q if q.dim() == 3 else q[None])
 
     @property
     def segment_count(self) -> int:

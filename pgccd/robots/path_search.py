@@ -38,7 +38,8 @@ def certify(
 
     Args:
         robot: the robot.
-        q: (B, T, J) configurations, radians or length units: B paths of T waypoints, in environments of their own. Or a
+        q: (B, T, J) configurations, radians or length units: B paths of T waypoints, in environments of their own; or
+            (T, J), one path. Or a
             spline of configurations (B, J), or (J,) of one path.
         obstacles: the same for all paths, or of each environment.
         resolution: length > 0: paths on which two surfaces come as near as this may be reported as not free (`NEAR`).

@@ -307,6 +307,10 @@ def test_arrays_and_gradients(tmp_path: Path) -> None:
     q = torch.zeros(1, 2, 2, dtype=torch.float64)
     mesh, at = pgccd.Mesh.box([1.0, 1.0, 1.0]), np.full((1, 3), 5.0)
     same(robot.certify(q.numpy(), Obstacles([mesh], at)), robot.certify(q, Obstacles([mesh], torch.tensor(at))), 0)  # type: ignore[arg-type]
+    # One path, and lists.
+    for given in (q[0], q.tolist(), q[0].tolist()):
+        same(robot.certify(given), robot.certify(q), 0)  # type: ignore[arg-type]
+        assert len(robot.clearance(given, Obstacles([mesh], at)).lower) == 1  # type: ignore[arg-type]
     wanting = q.clone().requires_grad_()
     calls = {
         "q": [lambda: robot.certify(wanting), lambda: robot.trajectory(wanting[0])],
@@ -355,8 +359,14 @@ def test_what_cannot_be_certified(tmp_path: Path) -> None:
     q = torch.zeros(1, 2, 2)
     table = Obstacles([pgccd.Mesh.box([1.0, 1.0, 1.0])], torch.full((3, 1, 3), 5.0))
     cases = [
-        ((robot, q[0]), {}, ValueError, r"q: expected shape \(B, T, 2\) with T >= 2"),
-        ((robot, q[:, :1]), {}, ValueError, r"q: expected shape \(B, T, 2\) with T >= 2"),
+        (
+            (robot, q[0, 0]),
+            {},
+            ValueError,
+            r"q: expected waypoints \(T, 2\) or \(B, T, 2\) with T >= 2, got shape \(2,\)",
+        ),
+        ((robot, q[:, :1]), {}, ValueError, r"q: expected waypoints \(T, 2\) or \(B, T, 2\) with T >= 2"),
+        ((robot, "q"), {}, TypeError, "q: expected waypoints"),
         ((robot, q, table), {}, ValueError, "q: expected 3 environments, as the obstacles have, got 1"),
         ((robot, q), {"resolution": 0.0}, ValueError, "resolution: expected a length > 0"),
         ((robot, q, q), {}, TypeError, "obstacles: expected pgccd.robots.Obstacles"),

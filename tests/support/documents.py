@@ -14,6 +14,7 @@ from oracle.boxes import axes_of, least_gap
 from oracle.convex import Convex, gap
 
 import pgccd
+from support.comments import run_checked
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
@@ -49,8 +50,14 @@ def run_document(path: Path, old: str = "", new: str = "") -> dict[str, Any]:
     """
     names: dict[str, Any] = {"__name__": "__main__"}
     assert not old or any(old in block for block in blocks(path)), f"{path.name}: no {old!r}"
+    wrong = []
     for number, block in enumerate(blocks(path), 1):
-        exec(compile(block.replace(old, new) if old else block, f"{path.name}, Python block {number}", "exec"), names)
+        text, name = block.replace(old, new) if old else block, f"{path.name}, Python block {number}"
+        if path.suffix == ".md" and not old:
+            wrong += run_checked(text, name, names)
+        else:
+            exec(compile(text, name, "exec"), names)
+    assert wrong == []
     return names
 
 
