@@ -9,6 +9,7 @@ from torch import Tensor
 
 from pgccd import arguments
 from pgccd.geometry.coordinates import FEW_UNITS
+from pgccd.geometry.mesh import SMALLEST_RADIUS
 from pgccd.geometry.scene import Scene
 from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
@@ -47,7 +48,8 @@ def warn_of_rounded_positions(scene: Scene, motion: RigidMotion | VertexMotion |
     largest = ends.detach().abs().amax(dim=(0, 2)).to(torch.float32)
     unit = (torch.nextafter(largest, torch.full_like(largest, torch.inf)) - largest).to(torch.float64)
     radius = scene._size
-    is_lost = (radius > 0.0) & (radius <= FEW_UNITS * unit)
+    has_size = radius > SMALLEST_RADIUS  # a single point has none
+    is_lost = has_size & (radius <= FEW_UNITS * unit)
     if bool(is_lost.any()):
         body = int(is_lost.long().argmax())
         warnings.warn(

@@ -226,3 +226,10 @@ def test_positions_that_float32_has_rounded_to_the_size_of_bodies(given: str) ->
             warnings.simplefilter("error")
             call(moved(x.double()))
             call(moved(torch.tensor([[5.0, 0, 0], [1e6, 0, 0]])))  # multiples of 1/16
+
+
+@pytest.mark.filterwarnings("error")
+def test_positions_of_points_without_size_are_not_warned_of() -> None:
+    x, q = torch.tensor([[5.0, 0, 0], [1e7, 0, 0]]), torch.tensor([[1.0, 0, 0, 0]] * 2)
+    scene = pgccd.Scene([pgccd.Mesh.points([[0.0, 0.0, 0.0]])], mesh_index=[0, 0])
+    assert len(pgccd.detect(scene, pgccd.RigidMotion.at_rest(x, q), min_separation=0.1)) == 0
