@@ -46,7 +46,7 @@ def test_the_test_sees_crossings() -> None:
     assert crossings(x, np.array([[3, 5], [0, 4], [4, 5]]), faces) == 0
 
 
-@few_and_many("every", 20, 1)
+@few_and_many("every", 40, 1)
 def test_the_sheet_never_intersects(every: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MPLBACKEND", "agg")
     monkeypatch.chdir(tmp_path)

@@ -214,7 +214,7 @@ def test_pictures_show_them_at_their_size(tmp_path: Path) -> None:
     x, q = pose([0, 0, 0], [2.0, 0, 0])
     motion = pgccd.RigidMotion(x, q, *pose([0, 0, 0], [0.5, 0, 0]))
     found = areas(picture(pgccd.show(both, motion, pgccd.detect(both, motion), path=tmp_path / "both.png")))
-    assert found["first"] > 100_000 and found["second"] > 50_000 and found["marks"] > 300
+    assert found["first"] > 100_000 and found["second"] > 50_000 and found["pale"] > 300
 
 
 def test_models_hold_them(tmp_path: Path) -> None:
