@@ -5,7 +5,7 @@ Cloth: a sheet that drapes over a ball and never freezes
 A sheet of 1,600 vertices falls onto a ball, folds and meets itself. Each step has three parts: position-based dynamics
 proposes a motion; the contacts of the proposal push the vertices of their features apart, several times; and
 `pgccd.resolve` lets the sheet move as far as is certified. Without the second part the sheet freezes: `resolve` stops a
-body as a whole, so that one vertex on the ball holds all others.
+body as a whole, so that a single vertex on the ball stops all vertices.
 """
 
 import matplotlib.pyplot as plt
@@ -79,7 +79,7 @@ def pushed(x: torch.Tensor, goal: torch.Tensor) -> tuple[torch.Tensor, int]:
 
 
 # %%
-# **The step.** `resolve` keeps less distance than the push wants, so that it rarely has to stop the sheet. What it
+# **The step.** `resolve` keeps a smaller distance than the push makes, so that it rarely has to stop the sheet. What it
 # returns is certified: nothing meets on the way, the sheet itself included. `initial="assume_free"` leaves out the test
 # of starts, since each step starts where a certified one ended.
 

@@ -14,6 +14,7 @@ namespace pgccd::bind {
 // Rows of `Row` as a tensor of this shape with their `Element`s.
 template <class Element, class Row>
 Tensor tensor_of_rows(const Tensor& like, const std::vector<Row>& rows, std::initializer_list<int64_t> shape) {
+  static_assert(sizeof(Row) % sizeof(Element) == 0);
   Tensor tensor = new_tensor<Element>(like, shape);
   if (!rows.empty()) std::memcpy(data<Element>(tensor), rows.data(), rows.size() * sizeof(Row));
   return tensor;

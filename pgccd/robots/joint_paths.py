@@ -37,14 +37,14 @@ class JointPaths:
         Raises:
             TypeError, ValueError: they are something else, or require grad.
         """
+        count = robot.joint_count
         if isinstance(q, Spline):
-            shape, count = q.control.shape[1:], robot.joint_count
+            shape = q.control.shape[1:]
             if len(shape) not in (1, 2) or shape[-1] != count:
                 expected = f"a spline of values ({count},), or (B, {count})"
                 raise ValueError(f"q: expected {expected}, got {tuple(shape)}")
             control = q.control.reshape(len(q.control), -1, count).swapaxes(0, 1)
             return cls(control.contiguous(), q.degree, q.error)
-        count = robot.joint_count
         expected = f"waypoints (T, {count}) or (B, T, {count}) with T >= 2"
         q = robot._configurations(arguments.real_numbers(q, "q", expected), "q")
         arguments.refuse_gradient(q, "q")

@@ -114,9 +114,9 @@ def clearance(
     """How near links come to obstacles and to each other along paths in joint space, between waypoints too: a certified
     lower bound and an upper bound of the least distance of surfaces, and where the latter is attained.
 
-    Parts of paths are measured on arcs, with what `certify` knows of how far links stray from them; parts that may hold
-    the least distance are divided until the bounds are close enough. What is not tested by `certify` is not measured
-    either (`Robot.untested`).
+    Parts of paths are measured on arcs, with the bounds of `certify` of how far links stray from them. Parts that may
+    have the least distance are divided until the bounds are close enough. What is not tested by `certify` is not
+    measured either (`Robot.untested`).
 
     Args:
         robot: the robot.
@@ -128,7 +128,7 @@ def clearance(
             2^-24th of a segment, rounding decides.
 
     Returns:
-        Clearance, on the device of q. Costs some hundred times a `certify` that finds the path free. Synchronises with
+        Clearance, on the device of q. Costs 50 to 100 times a `certify` that finds the path free. Synchronises with
         a GPU.
 
     Raises:
