@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -51,7 +50,6 @@ def test_the_sheet_never_intersects(every: int, tmp_path: Path, monkeypatch: pyt
     monkeypatch.setenv("MPLBACKEND", "agg")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("pgccd.viz.display._is_in_notebook", lambda: True)
-    assert os.environ["MPLBACKEND"] == "agg"
     names = run_document(ROOT / "examples" / "13_cloth_that_drapes.py")
     frames, sheet, ball = names["frames"], names["sheet"], names["ball"]
     count = len(sheet.vertices)
@@ -61,7 +59,7 @@ def test_the_sheet_never_intersects(every: int, tmp_path: Path, monkeypatch: pyt
         for share in (0.0, 0.5, 1.0)[: 3 if every == 1 else 2]:
             x = (1.0 - share) * frames[k] + share * frames[k + 1]
             assert crossings(x.numpy(), edges, faces) == 0, (k, share)
-    # Pushed only: without the certified step the test finds crossings, unless the push alone was enough.
+    # Of a sheet that is turned upside down through the ball, the test finds crossings, and `resolve` stops it.
     start, end = frames[-2].clone(), frames[-1].clone()
     end[:count, 2] = 2.0 * float(end[:count, 2].mean()) - end[:count, 2]
     assert crossings(end.numpy(), edges, faces) > 100
