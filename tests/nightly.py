@@ -1,6 +1,9 @@
-"""Long run of the elementary tests: random and adversarial queries against the batch oracle.
+"""Long run of the elementary tests and of joint paths: random and adversarial queries against an oracle.
 
-python tests/nightly.py --queries 10000000 --seed 1 [--path linear|rigid] [--dtype float64|float32] [--device cpu|cuda]
+python tests/nightly.py --queries 10000000 --seed 1 [--path linear|rigid|joints] [--dtype float64|float32]
+                        [--device cpu|cuda]
+
+`--path joints` certifies paths of random robots, and compares them with samples.
 
 Prints a table by family, and examples of failures. Exits with 1 if a contact was missed, late or false, or if more than
 the usual number were unresolved or undecided.
@@ -15,7 +18,7 @@ import time
 from collections.abc import Iterator
 
 import torch
-from support import bulk, bulk_arcs
+from support import bulk, bulk_arcs, bulk_joints
 from support.bulk import Tally
 
 COLUMNS = ("queries", "true", "missed", "late", "invented", "misplaced", "near", "unresolved", "undecided")
@@ -25,6 +28,8 @@ def stream(arguments: argparse.Namespace) -> Iterator[tuple[str, Tally]]:
     """An endless stream of rounds."""
     if arguments.path == "rigid":
         return bulk_arcs.arcs_checked(arguments.seed, itertools.count(), arguments.device)
+    if arguments.path == "joints":
+        return bulk_joints.joint_paths_checked(arguments.seed, itertools.count())
     return bulk.straight(arguments.seed, itertools.count(), getattr(torch, arguments.dtype), arguments.device)
 
 
@@ -45,7 +50,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--queries", type=int, default=10_000_000)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--path", choices=("linear", "rigid"), default="linear")
+    parser.add_argument("--path", choices=("linear", "rigid", "joints"), default="linear")
     parser.add_argument("--dtype", choices=("float64", "float32"), default="float64", help="of straight paths")
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--minutes", type=float, default=float("inf"), help="stop after so long")

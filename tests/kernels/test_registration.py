@@ -14,8 +14,8 @@ from pgccd.about import describe_installation
 
 CSRC = Path(__file__).resolve().parents[2] / "csrc"
 BIND = CSRC / "bind"
-# The baseline runs on CPUs only.
-ON_CPU_ALONE = {"pgccd::voxels_touched", "pgccd::voxel_boxes", "pgccd::voxel_pairs"}
+# Meshes are prepared, and the baseline runs, on CPUs only.
+ON_CPU_ALONE = {"pgccd::prepare_mesh", "pgccd::voxels_touched", "pgccd::voxel_boxes", "pgccd::voxel_pairs"}
 # Messages between GPUs.
 ON_CUDA_ALONE = {"pgccd::peer_gather", "pgccd::peer_minimum", "pgccd::has_conditional_nodes"}
 ON_CUDA_ALONE |= {"pgccd::begin_conditional", "pgccd::end_conditional"}
@@ -86,9 +86,16 @@ def test_operators_are_registered_for_both_sessions() -> None:
         {"register_mesh_ops", "register_voxel_ops"},
         {"register_peer_ops", "register_graph_ops"},
     )
+    operators: dict[str, set[str]] = {}
     for path in BIND.glob("*_ops.h"):
-        everywhere |= set(re.findall(r"template <class Session>\nvoid (register_\w+)", path.read_text()))
+        text = path.read_text()
+        everywhere |= set(re.findall(r"template <class Session>\nvoid (register_\w+)", text))
+        for name in re.findall(r"\b(register_\w+)\(Library& library\)", text):
+            operators[name] = {f"pgccd::{each}" for each in re.findall(r'library\.impl\("(\w+)"', text)}
     assert len(everywhere) == 9
+    # These lists decide what is expected of a build with CUDA: they are compared where there is none, too.
+    for names, alone in ((on_cpu, ON_CPU_ALONE), (on_cuda, ON_CUDA_ALONE)):
+        assert set().union(*(operators[name] for name in names)) == alone
     for file, session, alone in (("ops_cpu.cpp", "CpuSession", on_cpu), ("ops_cuda.cpp", "CudaSession", on_cuda)):
         calls = re.findall(r"^  (register_\w+(?:<\w+>)?)\(library\);", (BIND / file).read_text(), re.MULTILINE)
         assert sorted(calls) == sorted({f"{name}<{session}>" for name in everywhere} | alone), file

@@ -194,14 +194,27 @@ def least_gaps(
         measure: `gaps` or `distances`.
     """
     shapes, (sizes, radii) = arm.shapes(q), arm.sizes()
-    least = np.full(len(q), np.inf)
     solid = [k for k in range(len(arm.parts)) if not np.isnan(sizes[k]).any()]
-    for k in solid:
-        for other in solid:
-            if other > k and (k, other) not in untested:
-                gap = measure(shapes[:, k], sizes[k], shapes[:, other], sizes[other])
-                least = np.minimum(least, gap - radii[k] - radii[other])
-        for frame, edges in zip(boxes, half, strict=True):
-            gap = measure(shapes[:, k], sizes[k], np.broadcast_to(frame, shapes[:, k].shape), edges)
-            least = np.minimum(least, gap - radii[k])
+    pairs = [
+        (shapes[:, k], sizes[k], shapes[:, other], sizes[other], radii[k] + radii[other])
+        for k in solid
+        for other in solid
+        if other > k and (k, other) not in untested
+    ]
+    pairs += [
+        (shapes[:, k], sizes[k], np.broadcast_to(frame, shapes[:, k].shape), edges, radii[k])
+        for k in solid
+        for frame, edges in zip(boxes, half, strict=True)
+    ]
+    least = np.full(len(q), np.inf)
+    # Balls around the shapes: where they are further apart than a gap that has been found, the shapes are.
+    at_least = [
+        np.linalg.norm(a[:, :3, 3] - b[:, :3, 3], axis=1) - np.linalg.norm(half_a) - np.linalg.norm(half_b) - radius
+        for a, half_a, b, half_b, radius in pairs
+    ]
+    for pair in np.argsort([bound.mean() for bound in at_least]):
+        a, half_a, b, half_b, radius = pairs[pair]
+        near = np.flatnonzero(at_least[pair] <= least)
+        if len(near):
+            least[near] = np.minimum(least[near], measure(a[near], half_a, b[near], half_b) - radius)
     return least
