@@ -8,7 +8,7 @@ import tempfile
 import zipfile
 import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from os import PathLike
 from pathlib import Path
 from typing import IO, Any
@@ -376,9 +376,7 @@ def _frames(
 def _rows_of(path: Path, name: str, file: IO[bytes]) -> Iterator[np.ndarray]:
     """The rows of an array in a .npy file, one after the other."""
     try:
-        version = np.lib.format.read_magic(file)
-        reading = np.lib.format.read_array_header_1_0 if version[0] == 1 else np.lib.format.read_array_header_2_0
-        shape, is_transposed, dtype = reading(file)
+        shape, is_transposed, dtype = _header_of(file)
     except (OSError, ValueError, zipfile.BadZipFile) as error:
         raise ValueError(f"{path}: {name}: cannot be read as an array: {error}") from error
     if len(shape) != 3 or is_transposed or dtype.hasobject:
@@ -395,6 +393,13 @@ def _rows_of(path: Path, name: str, file: IO[bytes]) -> Iterator[np.ndarray]:
         yield np.frombuffer(content, dtype).reshape(shape[1:])
 
 
+def _header_of(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Shape, Fortran order and type of the array in a .npy file."""
+    version = np.lib.format.read_magic(file)
+    reading = np.lib.format.read_array_header_1_0 if version[0] == 1 else np.lib.format.read_array_header_2_0
+    return reading(file)
+
+
 def bodies_and_poses(
     path: str | PathLike[str], device: torch.device | str = "cpu"
 ) -> tuple[Scene, Path, list[str] | None]:
@@ -409,7 +414,23 @@ def bodies_and_poses(
         scene = Scene(_meshes_of(path, content), content["mesh_index"], device, **optional)
     except (OSError, TypeError, ValueError) as error:
         raise ValueError(f"{path}: {error}") from error
-    return scene, path.parent / content["poses"], names
+    poses = path.parent / content["poses"]
+    posed = _posed_bodies(poses)
+    if posed is not None and posed != scene.body_count:
+        what = f"{posed} bodies, of which {content['poses']} has poses"
+        raise ValueError(f"{path}: mesh_index: expected the meshes of {what}, got {scene.body_count} values")
+    return scene, poses, names
+
+
+def _posed_bodies(path: Path) -> int | None:
+    """The number of bodies whose orientations an npz file has. None: it has none, or `load_motion` refuses it."""
+    with suppress(OSError, KeyError, ValueError, IndexError, zipfile.BadZipFile), zipfile.ZipFile(path) as archive:
+        names = (f"{name}.npy" for name in ("orientation", "orientation_t0"))
+        name = next((name for name in names if name in archive.namelist()), None)
+        if name is not None:
+            with archive.open(name) as file:
+                return _header_of(file)[0][-2]
+    return None
 
 
 def _content(path: Path) -> dict[str, Any]:

@@ -141,6 +141,15 @@ def test_every_entry_of_a_scene_arrives(tmp_path: Path) -> None:
     for origin in ([[0.0, 0.0, 0.0]], "centroid"):
         with pytest.raises(ValueError, match="scene.json: origin: expected a list of 2 values, one a mesh, got"):
             load(origin=origin)
+    # The list of meshes says how many bodies there are: it is at fault, whatever the motion is.
+    moved = {"position_t0": X[0], "orientation_t0": Q[0], "position_t1": X[1], "orientation_t1": Q[1]}
+    for columns in ({"position": X, "orientation": Q}, moved):
+        np.savez(tmp_path / "poses.npz", **columns)
+        wrong = {key: scene[key] for key in ("meshes", "poses")} | {"mesh_index": [1, 0, 0]}
+        (tmp_path / "scene.json").write_text(json.dumps(wrong))
+        message = "mesh_index: expected the meshes of 2 bodies, of which poses.npz has poses, got 3 values"
+        with pytest.raises(ValueError, match=f"scene.json: {message}"):
+            files.load_scene(tmp_path / "scene.json")
     for changed, message in (
         ({"solid": [True]}, "solid: expected a list of 2 values, one a mesh, got"),
         ({"solid": [True, 3]}, "solid: expected True, False or .auto., got 3"),

@@ -146,7 +146,6 @@ class PCCCD:
         if not isinstance(id, Tensor) or id.dtype != torch.int64 or id.shape != (count,):
             raise ValueError(f"id: expected ({count},) int64, got {arguments.describe(id)}")
         own = {"id": id, "mesh_index": bodies.scene.mesh_index, **motion.columns()}
-        self.comm.guard.activity = "step"
         clock = StageClock()
 
         query, lengths = self._query, self._query.lengths

@@ -83,10 +83,11 @@ class Guard:
         self._calls, self._caller, self._calls_lock = 0, 0, threading.Lock()
         self._untold: list[str] = []  # names of the last calls, of which the hub does not know yet
         self._has_failed_call, self._failed_calls = False, set[int]()
+        self._error = 0  #: id of the error that the last failed call raised
         self._noted, self._settled = threading.Event(), threading.Event()
         self._clock = TurnClock()
         self._progress = 0.0  # of the clock
-        #: Current activity of the rank, for messages; cheap to set.
+        #: The public call that the rank is in or was in last, or a part of it, for messages; cheap to set.
         self.activity = "the start"
         #: Whether the communication library has recorded lost messages. Set for NCCL, where a GPU waits for such
         #: messages forever, and the process for the GPU, even at exit.
@@ -148,7 +149,7 @@ class Guard:
                 raise
             # NCCL's shutdown, and MPI's, wait for all ranks.
             self._ends_hard |= self.is_broken is not None or "mpi4py.MPI" in sys.modules
-            raise RankFailureError(f"{verdict} (rank {self._rank} was in {self.activity}, {what})") from error
+            raise RankFailureError(f"{verdict} (rank {self._rank} was in {self._place()}, {what})") from error
         finally:
             self._is_waiting = False
 
@@ -171,6 +172,7 @@ class Guard:
                 raise RuntimeError(f"{name}: another thread of rank {self._rank} is in such a call")
             self._caller, self._calls = threading.get_ident(), self._calls + 1
             self._untold.append(name)
+        self.activity = name
         return True
 
     def end_call(self) -> None:
@@ -183,6 +185,7 @@ class Guard:
         """
         if self._channel is None or isinstance(error, RankFailureError):
             return
+        self._error = id(error)
         is_of_all = is_of_all_ranks(error)
         self._noted.clear()
         self._settled.clear()
@@ -191,8 +194,13 @@ class Guard:
             self._noted.wait(_NOTED_SECONDS)
         if self._verdict is not None and self._is_final:
             self._ends_hard = True
-            raise RankFailureError(f"{self._verdict} (rank {self._rank} was in {self.activity})") from error
+            raise RankFailureError(f"{self._verdict} (rank {self._rank} was in {self._place()})") from error
         self._has_failed_call = not is_of_all
+
+    def _place(self) -> str:
+        """Where this rank is, for messages."""
+        is_after = self._calls > 0 and self._caller == 0
+        return f"its own code, after {self.activity}" if is_after else self.activity
 
     def _send(self, **message: Any) -> bool:
         """Sends a message to the hub, after all calls that it does not know yet; False if the connection is closed."""
@@ -227,7 +235,8 @@ class Guard:
         """Reports to all ranks that this one fails with an error of its own."""
         if self._channel is None or isinstance(error, RankFailureError):
             return
-        self._send(about="failure", text=f"failed in {self.activity}: {_first_line(error)}")
+        place = self.activity if id(error) == self._error else self._place()
+        self._send(about="failure", text=f"failed in {place}: {_first_line(error)}")
 
     def close(self) -> None:
         """Leaves the job: a rank that has finished is not at fault, unless another waits for it."""
@@ -415,7 +424,7 @@ class Guard:
                 case "question":
                     with self._lock:
                         exchanges = self._exchanges
-                    here = {"exchanges": exchanges, "activity": self.activity}
+                    here = {"exchanges": exchanges, "activity": self._place()}
                     self._send(about="answer", number=message.get("number"), **here)
 
     def _decide(self, verdict: str, is_final: bool = True) -> None:
@@ -429,12 +438,12 @@ class Guard:
     def _print_stack(self) -> None:
         """Where the threads of this rank are, for a verdict about ranks that hang."""
         with suppress(Exception):  # without a standard error, for example
-            sys.__stderr__.write(f"pgccd: rank {self._rank} is in {self.activity}:\n")  # type: ignore[union-attr]
+            sys.__stderr__.write(f"pgccd: rank {self._rank} is in {self._place()}:\n")  # type: ignore[union-attr]
             sys.__stderr__.flush()  # type: ignore[union-attr]
             faulthandler.dump_traceback(sys.__stderr__)  # type: ignore[arg-type]
 
     def _give_up(self, verdict: str) -> None:
-        sys.stderr.write(f"pgccd: rank {self._rank} gives up in {self.activity}: {verdict}\n")
+        sys.stderr.write(f"pgccd: rank {self._rank} gives up in {self._place()}: {verdict}\n")
         sys.stderr.flush()
         os._exit(_EXIT_CODE)  # the only way to end a blocking call into a communication library
 

@@ -143,7 +143,6 @@ class CapturedWorld(RankSteps[WorldStep, Committed, "WorldGraph"]):
                 functions[name] = code_of(function)
         choices = {"steps": steps, "graph": self._wants_graph, "resolve": self._resolve}
         require_agreement(world.comm, choices | functions)
-        world.comm.guard.activity = "step"
         if self._graph is not None and not self._load(self._graph, world.steps_made):
             self._graph = None
         for more in reversed(range(steps)):

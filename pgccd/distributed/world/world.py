@@ -330,8 +330,6 @@ class World(OwnBodies):
             >>> resolved = world.step(motion, resolve=True)
             >>> position, orientation = resolved.motion.at(1.0)
         """
-        self.comm.guard.activity = "step"
-
         scene, fixed = self._current_scene(), None
 
         def settings() -> dict[str, Any]:
@@ -383,7 +381,6 @@ class World(OwnBodies):
             >>> colliding = world.collide(motion)
             >>> colliding.pairs, colliding.stats
         """
-        self.comm.guard.activity = "step"
 
         def settings() -> dict[str, Any]:
             facts = motion_facts(motion, self.options.path, self.meshes, self.mesh_index)

@@ -219,3 +219,33 @@ def test_only_the_outermost_call_counts() -> None:
 def test_one_rank_tells_nothing() -> None:
     comm = distributed.Alone()
     assert comm.any(True) and comm.guard._calls == 0
+
+
+def test_an_error_is_told_with_the_call_that_raised_it() -> None:
+    class Loop:
+        def __init__(self) -> None:
+            self.guard = Recorder()
+
+        @collective
+        def turn(self, error: Exception | None = None) -> None:
+            if error is not None:
+                raise error
+
+    loop, of_call, of_user = Loop(), ValueError("1"), ValueError("2")
+    turn = Loop.turn.__qualname__
+    loop.guard.report(of_user)
+    loop.turn()
+    loop.guard.report(of_user)
+    with pytest.raises(ValueError, match="1"):
+        loop.turn(of_all_ranks(of_call))
+    loop.guard.report(of_call)
+    loop.guard.activity = "step 3"  # what a call says of itself
+    loop.guard.report(of_call)
+    loop.guard.report(of_user)
+    assert [text for text in loop.guard.told if text.startswith("failed")] == [
+        "failed in the start: ValueError: 2",
+        f"failed in its own code, after {turn}: ValueError: 2",
+        f"failed in {turn}: ValueError: 1",
+        "failed in step 3: ValueError: 1",
+        "failed in its own code, after step 3: ValueError: 2",
+    ]
