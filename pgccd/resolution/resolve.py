@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TypedDict, Unpack, cast, overload
@@ -21,7 +20,7 @@ from pgccd.resolution.listed import ListedSearch, are_near, is_on_arcs, is_short
 from pgccd.resolution.results import M, PaddedResolution, Resolution, union_of_pairs
 from pgccd.resolution.round_plan import RoundPlan
 from pgccd.resolution.rounds import Attempt, OneRank, RoundSearch, resolve_collisions
-from pgccd.resolution.search import ShortenedSearch, at_rest, shortened
+from pgccd.resolution.search import ShortenedSearch, at_rest, held_bodies, shortened, warn_of_held
 from pgccd.resolution.stopped_by import StoppedBy
 from pgccd.resolution.trajectories import TrajectoryResolution, resolve_segments
 from pgccd.runtime.host_copy import HostCopy
@@ -167,16 +166,6 @@ def resolve(
     return step.resolve(motion) if sizes is None else step.resolve_padded(motion, sizes, count)
 
 
-def _warn_of_held(body: int) -> None:
-    """Warns that one contact holds a whole body that deforms."""
-    warnings.warn(
-        f"resolve: body {body} deforms and has fraction 0: a contact at the start stops all of its vertices. Push the "
-        "vertices of contacts apart first, see docs/how-to/cloth.md",
-        UserWarning,
-        stacklevel=4,
-    )
-
-
 @dataclass
 class _Plan:
     """What earlier calls for a scene needed on a GPU. It changes how often work is repeated, never the result."""
@@ -228,10 +217,10 @@ class _Step:
         meeting = contacts.pairs
         is_any_stopped = (fraction < 1.0).any()
         if isinstance(motion, VertexMotion):
-            held = (fraction == 0.0) & ~at_rest(scene, motion)
+            held = held_bodies(scene, motion, fraction)
             is_stopped, is_held = torch.stack([is_any_stopped, held.any()]).tolist()
             if is_held:
-                _warn_of_held(int(held.int().argmax()))
+                warn_of_held(int(held.int().argmax()), stacklevel=4)
         else:
             is_stopped = bool(is_any_stopped)
         if is_stopped:

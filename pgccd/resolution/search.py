@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -101,6 +102,21 @@ def at_rest(scene: Scene, motion: RigidMotion | VertexMotion) -> Tensor:
     moves = (motion.x_t0 != motion.x_t1).any(dim=1)
     moving = moves.new_zeros(scene.body_count, dtype=torch.int32)
     return moving.index_add_(0, body_of_vertex(scene), moves.int()) == 0
+
+
+def held_bodies(scene: Scene, motion: VertexMotion, fraction: Tensor) -> Tensor:
+    """(N,) bool: the bodies that deform but move by no fraction (N,) of their step: one contact holds a whole body."""
+    return (fraction == 0.0) & ~at_rest(scene, motion)
+
+
+def warn_of_held(body: int, stacklevel: int) -> None:
+    """Warns of one of `held_bodies`, in the line that is `stacklevel` calls above this function, itself included."""
+    warnings.warn(
+        f"resolve: body {body} deforms and has fraction 0: a contact at the start stops all of its vertices. Push the "
+        "vertices of contacts apart first, see docs/how-to/cloth.md",
+        UserWarning,
+        stacklevel,
+    )
 
 
 def body_of_vertex(scene: Scene) -> Tensor:

@@ -11,6 +11,7 @@ from support.cases import few_and_many
 from support.documents import ROOT, run_document
 
 import pgccd
+from pgccd import distributed
 
 
 def crossings(x: np.ndarray, edges: np.ndarray, faces: np.ndarray) -> int:
@@ -82,4 +83,9 @@ def test_a_deforming_body_that_cannot_move_is_named(is_moving: bool) -> None:
     else:
         with pytest.warns(UserWarning, match=r"^resolve: body 0 deforms and has fraction 0: .*how-to/cloth"):
             resolved = pgccd.resolve(scene, motion, min_separation=1e-3)
+        options, id = distributed.WorldOptions(min_separation=1e-3), torch.tensor([3, 7])
+        world = distributed.World.create(scene, torch.zeros(2, 3), [-2.0] * 3, [2.0] * 3, id=id, options=options)
+        with pytest.warns(UserWarning, match="^resolve: body 3 deforms and has fraction 0: ") as warned:
+            world.step(motion, resolve=True)
+        assert [each.filename for each in warned] == [__file__]
     assert float(resolved.fraction[0]) == 0.0

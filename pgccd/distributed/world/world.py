@@ -59,6 +59,7 @@ from pgccd.motion.paths import RigidMotion, VertexMotion
 from pgccd.motion.trajectory import Trajectory
 from pgccd.resolution.listed import are_near, is_on_arcs, travels_of
 from pgccd.resolution.results import M
+from pgccd.resolution.search import held_bodies, warn_of_held
 from pgccd.resolution.trajectories import TrajectoryResolution, resolve_segments
 from pgccd.runtime.stages import StageClock
 from pgccd.search.bodies import MovingBodies
@@ -321,7 +322,8 @@ class World(OwnBodies):
         Raises:
             TypeError: the motion is of another type, or `payload` no names; on all ranks.
             ValueError: the motion has a wrong number of bodies, vertices or segments, or another path; or bodies have
-                no such payload; ranks ask for different ones; on all ranks. A pose is invalid: on this rank.
+                no such payload; ranks ask for different ones; on all ranks. A pose is invalid: on this rank. With
+                `resolve`, a UserWarning names a body of this rank that deforms, moves and gets fraction 0.
 
         Example:
             >>> hits = world.step(motion, payload=("velocity",))
@@ -418,6 +420,9 @@ class World(OwnBodies):
             clock, whole = StageClock(), self._search_to_resolve(scene, motion, fixed, carried)
             resolved = resolve_step(whole, scene, motion, fixed, carried, self._rank, plan, clock)
             self._seconds += clock.work
+            if isinstance(motion, VertexMotion):
+                for body in self.id[held_bodies(scene, motion, resolved.fraction)].tolist()[:1]:
+                    warn_of_held(body, stacklevel=6)
             return resolved
 
         scene = self._current_scene()
