@@ -45,9 +45,11 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 # They start themselves again on four ranks; `tests/distributed/world/test_loops.py` runs them on two.
 ON_MANY_RANKS = ("04_many_ranks.py", "08_impulses.py")
+# `tests/resolution/test_cloth.py` runs it.
+RUN_ELSEWHERE = ("13_cloth_that_drapes.py",)
 
 
-@pytest.mark.parametrize("name", mostly_slow(DOCUMENTS, set(DOCUMENTS) - set(ON_MANY_RANKS)))
+@pytest.mark.parametrize("name", mostly_slow(DOCUMENTS, set(DOCUMENTS) - {*ON_MANY_RANKS, *RUN_ELSEWHERE}))
 def test_documents(name: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     check_document(name, capsys, monkeypatch)
 

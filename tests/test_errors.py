@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -239,19 +240,20 @@ OUT_OF_RANGE = [[1, 0, 0, 0], [-1, 0, 0, 0], [0, 5, 0, 0], [0, 0, 100_000_000, 0
 OUT_OF_RANGE += [[0, 1, -7, 0], [0, 1, 1, 0], [0, -1, 0, 0], [0, 3, 3, 0], [0, 3, 0, 1], [0, 4, 1, 0], [0, 4, 0, 3]]
 
 
-def find_candidate(row: list[int]) -> None:
+def find_candidates() -> None:
     mesh = pgccd.Mesh([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
     still = torch.zeros(2, 3), torch.tensor([[1.0, 0, 0, 0]] * 2)
     bodies = pgccd.MovingBodies.of(pgccd.Scene([mesh, mesh]), pgccd.RigidMotion(*still, *still))
-    with pytest.raises((ValueError, RuntimeError), match="candidates"):
-        pgccd.narrow.find_contacts(bodies, torch.tensor([[0, 1]]), torch.tensor([row], dtype=torch.int32))
+    for row in OUT_OF_RANGE:
+        sys.stderr.write(f"{row}\n")
+        with pytest.raises((ValueError, RuntimeError), match="candidates"):
+            pgccd.narrow.find_contacts(bodies, torch.tensor([[0, 1]]), torch.tensor([row], dtype=torch.int32))
 
 
 def test_candidates_out_of_range(tmp_path: Path) -> None:
-    # In separate processes: an out-of-bounds read would crash this one.
-    for row in OUT_OF_RANGE:
-        with ForkedJob(1, tmp_path, find_candidate, row) as job:
-            assert job.finish() == [0], (row, job.said)
+    # In a process of its own: an out-of-bounds read would crash this one.
+    with ForkedJob(1, tmp_path, find_candidates) as job:
+        assert job.finish() == [0], job.said
 
 
 def test_files(tmp_path: Path) -> None:

@@ -212,7 +212,7 @@ def least_gaps(
         np.linalg.norm(a[:, :3, 3] - b[:, :3, 3], axis=1) - np.linalg.norm(half_a) - np.linalg.norm(half_b) - radius
         for a, half_a, b, half_b, radius in pairs
     ]
-    for pair in np.argsort([bound.mean() for bound in at_least]):
+    for pair in np.argsort([bound.sum() for bound in at_least]):
         a, half_a, b, half_b, radius = pairs[pair]
         near = np.flatnonzero(at_least[pair] <= least)
         if len(near):

@@ -46,7 +46,6 @@ def test_the_test_sees_crossings() -> None:
     assert crossings(x, np.array([[3, 5], [0, 4], [4, 5]]), faces) == 0
 
 
-@pytest.mark.filterwarnings("ignore:resolve. body . deforms and has fraction 0")
 @few_and_many("every", 40, 1)
 def test_the_sheet_never_intersects(every: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MPLBACKEND", "agg")

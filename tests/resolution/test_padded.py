@@ -27,8 +27,6 @@ def assert_same(found: pgccd.Resolution[Any], expected: pgccd.Resolution[Any]) -
         assert torch.equal(found.motion.columns()[name], column), name
 
 
-@pytest.mark.filterwarnings("ignore:resolve. body . deforms and has fraction 0")
-@pytest.mark.filterwarnings("ignore:scene. it has one body")
 def test_same_bits(device: torch.device) -> None:
     for made in scenes(40):
         scene, motion, options = made.scene(device), made.motion(device), options_of(made)

@@ -44,8 +44,6 @@ def resolve_and_check(made: RandomScene, device: torch.device) -> pgccd.Resoluti
     return resolved
 
 
-@pytest.mark.filterwarnings("ignore:resolve. body . deforms and has fraction 0")
-@pytest.mark.filterwarnings("ignore:scene. it has one body")
 def test_random_scenes(device: torch.device) -> None:
     made = [(scene.kind, resolve_and_check(scene, device)) for scene in scenes(112)]
     assert {kind for kind, _ in made} == {"rigid", "posed", "linear", "deforming"}
@@ -55,7 +53,6 @@ def test_random_scenes(device: torch.device) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:scene. it has one body")
 def test_many_random_scenes(device: torch.device) -> None:
     for made in scenes(600, begin=1000):
         resolve_and_check(made, device)

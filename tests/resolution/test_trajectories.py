@@ -111,8 +111,6 @@ def test_turns_of_more_than_half_a_revolution(device: torch.device, dtype: torch
     assert len(pgccd.detect(scene, resolved.motion, nonzero_toi=True)) == 0
 
 
-@pytest.mark.filterwarnings("ignore:resolve. body . deforms and has fraction 0")
-@pytest.mark.filterwarnings("ignore:scene. it has one body")
 def test_random_scenes(device: torch.device) -> None:
     """Nothing outside the lists touches on the segments, which begin where the ones before have ended."""
     seen = dict.fromkeys(("stopped", "later", "listed"), 0)

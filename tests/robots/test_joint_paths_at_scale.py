@@ -13,8 +13,6 @@ from support.bulk import Tally
 
 from pgccd.robots import Certificate, Robot
 
-pytestmark = pytest.mark.filterwarnings("ignore:.*links touch in the neutral configuration")
-
 
 @pytest.mark.parametrize(("rounds", "paths"), [(3, 12), pytest.param(12, 40, marks=pytest.mark.slow)])
 def test_nothing_is_missed_and_nothing_late(rounds: int, paths: int) -> None:

@@ -21,8 +21,6 @@ from support.shapes import unit_quaternions
 import pgccd
 from pgccd.robots import load_mjcf, load_urdf
 
-pytestmark = pytest.mark.filterwarnings("ignore:.*links touch in the neutral configuration")
-
 Found = set[tuple[int, int]]
 # By kind, in units of the largest half axis: how much larger a surface is at most, as docstrings say.
 EXCESS = {"cylinder": 0.0013, "ellipsoid": 0.008}

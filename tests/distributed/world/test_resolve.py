@@ -44,7 +44,6 @@ def alone(seed: int) -> tuple[Columns, Columns]:
     return columns_of(resolved), {"pairs": hits.pairs, "toi": hits.toi}
 
 
-@pytest.mark.filterwarnings("ignore:scene. it has one body")
 @pytest.mark.parametrize(
     "size", [1, pytest.param(2, marks=pytest.mark.slow), 3, pytest.param(4, marks=pytest.mark.slow)]
 )
