@@ -5,6 +5,7 @@
 #pragma once
 
 #include <bit>
+#include <type_traits>
 
 #include "kernels/traverse/time_spans.h"
 
@@ -103,13 +104,15 @@ class LeafSeparation {
   // The farthest vertices at both ends.
   PGCCD_HD void find_farthest(int side, int32_t node, Vec3<float> direction, Farthest out[2]) const {
     constexpr int kSlotsAtOnce = sizeof(T) / sizeof(float);
+    // One slot at a time, the row is read as a whole first; eight slots are read where they are.
+    using Row = std::conditional_t<kSlotsAtOnce == 1, const LeafPoints, const LeafPoints&>;
     const Placement from = start_.of[side], to = end_.of[side];
     const Vec3<T> at_start = in_all_lanes(Sweep::pulled_back(from, direction), T{});
     const Vec3<T> at_end = in_all_lanes(Sweep::pulled_back(to, direction), T{});
     const NodeLink leaf = tree_.link(side, node);
     PGCCD_KEEP_LOOP
     for (int32_t row = leaf.first_points; row < leaf.first_points + leaf.points_count; ++row) {
-      const LeafPoints eight = points(side, row);  // one load of the whole row
+      Row eight = points(side, row);
       PGCCD_UNROLL
       for (int slot = 0; slot < kBlockWidth; slot += kSlotsAtOnce) {
         const auto vertices = [&](int end) {
