@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from xml.sax.saxutils import quoteattr
 
@@ -184,6 +184,7 @@ def least_gaps(
     half: np.ndarray,
     untested: set[tuple[int, int]],
     measure: Measure = gaps,
+    still: Collection[int] = (),
 ) -> np.ndarray:
     """(K,): the least gap of links with each other and with boxes, in configurations (K, J).
 
@@ -192,6 +193,7 @@ def least_gaps(
         half: (M, 3) half edges.
         untested: pairs of parts.
         measure: `gaps` or `distances`.
+        still: parts that are not measured against boxes.
     """
     shapes, (sizes, radii) = arm.shapes(q), arm.sizes()
     solid = [k for k in range(len(arm.parts)) if not np.isnan(sizes[k]).any()]
@@ -204,6 +206,7 @@ def least_gaps(
     pairs += [
         (shapes[:, k], sizes[k], np.broadcast_to(frame, shapes[:, k].shape), edges, radii[k])
         for k in solid
+        if k not in still
         for frame, edges in zip(boxes, half, strict=True)
     ]
     least = np.full(len(q), np.inf)
