@@ -56,7 +56,7 @@ class MovingBodies:
         self.deforming = deforming
         thickness = scene._thickness
         self.tensors = tensors if thickness is None else [*tensors, thickness]
-        # What is invalid, as `_validation` understands it. None: nothing is.
+        # Which rows are invalid, for `_validation`. None: none is.
         self._invalid_rows = invalid_rows
         _, self.centre_t0, self.centre_t1, self.reach, *_ = tensors
         self.boxes: Tensor | None = None
@@ -143,9 +143,9 @@ class MovingBodies:
         return self.centre_t0, self.centre_t1, self.reach, *filters, in_other_search, self.boxes
 
     def stoppable(self) -> MovingBodies:
-        """The same rigid bodies, with spheres and boxes that contain them wherever on their way they are stopped or
-        slowed down: a shortened path is rounded (docs/explanation/exactness.md, section 12). Those about origins do
-        already.
+        """The same rigid bodies, with spheres and boxes that contain them wherever they are stopped or slowed down on
+        their way: a shortened path is rounded (docs/explanation/exactness.md, section 12). Spheres about origins
+        contain them already.
         """
         if self.scene.meshes.is_centred:
             return self
