@@ -1,5 +1,5 @@
-"""The functions of csrc/library/pgccd.h, which the compiled operators' library contains, for ctypes: a call takes less
-time than one of torch's, and leaves Python free for other threads.
+"""The functions of csrc/library/pgccd.h, which the library of the compiled operators contains, for ctypes. A call takes
+less time than a torch operator's, and releases the global interpreter lock.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _check_motion, _check_states = _library.pgccd_check_motion, _library.pgccd_check
 
 
 class NativeValidator:
-    """A validator of the library, for configurations of so many values. It is freed with this object.
+    """A validator of the library, for configurations of `width` values. It is freed with this object.
 
     Args:
         handle: of the library's validator.
