@@ -101,7 +101,7 @@ def test_capacities() -> None:
     assert_type(pairs.trim(), pgccd.CollidingPairs)
     assert bool(pairs.may_collide()) and len(pairs.trim()) == 1
     with pytest.raises(
-        TypeError, match=r"^Capacity: it is made by Capacity.of\(body_count\), or taken from Stats.needed"
+        TypeError, match=r"^Capacity: make it by Capacity.of\(body_count\), or take it from Stats.needed"
     ):
         pgccd.Capacity(100)  # type: ignore[arg-type]
     with pytest.raises(
