@@ -150,7 +150,7 @@ def load_scene(
     lists with one value per body; "exclude", a list of pairs of bodies that are never tested; and, as for `Mesh`, lists
     with one value per mesh: "origin", a point [x, y, z] or a name; "solid", true, false or "auto"; and "thickness", a
     length. In place of a list, "meshes" may be the npz file that `save_scene` writes, which holds "origin", "solid" and
-    "thickness" too.
+    "thickness" too. Lengths of mesh files that state their unit are converted to metres.
 
     Args:
         path: of the file.

@@ -192,9 +192,7 @@ def test_world_of_pairs() -> None:
 
 def test_worlds_are_made_by_create() -> None:
     scene, motion = two_bodies()
-    with pytest.raises(
-        TypeError, match=r"^World: it is made by World.create\(scene, position, lower, upper, ...\) or "
-    ):
+    with pytest.raises(TypeError, match=r"^World: make it by World.create\(scene, position, lower, upper, ...\) or "):
         distributed.World(scene.meshes.meshes)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match=r"^report: expected one of \['first', 'all', 'earliest'\], got 'some'$"):
         options = distributed.WorldOptions(report="some")  # type: ignore[arg-type]
