@@ -123,8 +123,8 @@ class Stats:
 
     @classmethod
     def _of_parts(cls, parts: Sequence[Stats], contacts: int, device: torch.device) -> Stats:
-        """The statistics of several searches of the same bodies, with so many contacts: sums, and the largest scratch
-        memory.
+        """The statistics of several searches of the same bodies, with this number of contacts: sums, and the largest
+        scratch memory.
         """
         stats = cls(bodies=parts[0].bodies, broad_phase=parts[0].broad_phase, contacts=contacts)
         for part in parts:

@@ -176,6 +176,8 @@ class ListedSearch:
 
 
 def _pieces(wanted: int, pairs: Tensor) -> int:
-    """Number of parts in which pairs (P, 2) that want so many bytes are searched sequentially; at most one per pair."""
+    """Number of parts in which pairs (P, 2) are searched one after the other, if they need `wanted` bytes; at most one
+    per pair.
+    """
     limit = memory_limit(None, wanted, pairs.device)
     return max(1, min(-(-wanted // limit), len(pairs)))

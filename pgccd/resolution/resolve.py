@@ -114,8 +114,8 @@ def resolve(
         tolerance, broad_phase: as for `detect`. Bodies that start further apart than min_separation may move, even if
             they are within the tolerance.
         initial: "report": surfaces that intersect and bodies inside of solids at t = 0 count as touching.
-            "assume_free": the caller guarantees that there are none, for example because the last step was resolved.
-            The tests for them are skipped.
+            "assume_free": the caller guarantees that there are none, for example because the previous step was
+            resolved. The tests for them are skipped.
         capacity: of each search and of the lists of pairs. With it, sizes are fixed, the call does not synchronise, and
             it can be captured by `torch.cuda.graph` (for deforming bodies, call it once before).
         rounds: with `capacity`, the number of rounds. Default: 8. Superfluous rounds change nothing. If the last round

@@ -92,7 +92,7 @@ class NativeValidator:
         """The verdict, or `BUSY`. If the first contact is wanted, `motion` tells more.
 
         Raises:
-            TypeError, ValueError: these are not so many numbers each.
+            TypeError, ValueError: a configuration does not have `width` numbers.
         """
         self._ends[0][:] = list(start)
         self._ends[1][:] = list(goal)

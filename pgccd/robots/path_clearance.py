@@ -255,7 +255,7 @@ class _Search:
 
 
 def _divided(parts: Sequence[Tensor], into: Tensor) -> list[Tensor]:
-    """Parts of segments, (path, segment, begin, end) (K,) each, each divided into so many (K,) equal ones."""
+    """Parts of segments, (path, segment, begin, end) (K,) each, divided into `into` (K,) equal parts each."""
     path, segment, begin, end = (column.repeat_interleave(into) for column in parts)
     first = (into.cumsum(0) - into).repeat_interleave(into)
     number, count = torch.arange(len(path), device=path.device) - first, into.repeat_interleave(into)

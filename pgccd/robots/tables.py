@@ -16,7 +16,7 @@ from pgccd.robots.kinematics import Tree
 LARGEST_VALUE = 1e6
 #: Radians that a link may turn between two waypoints, the turns of all joints added.
 LONGEST_TURN = 1e4
-#: The bound of how far links stray from arcs holds for links that turn by at most so many radians, added in the same
+#: The bound of how far links stray from arcs holds for links that turn by at most this many radians, added in the same
 #: way: see docs/explanation/exactness.md, section 14.
 MOST_TURN = 1.0
 _KINDS = {"fixed": 0, "revolute": 1, "prismatic": 2}

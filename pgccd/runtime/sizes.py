@@ -193,7 +193,7 @@ class CapacityError(RuntimeError):
     """A step exceeded its capacity.
 
     Attributes:
-        capacity: that of the step.
+        capacity: of the step.
         needed: a lower bound of what the step needs: stages after the first overflow saw only part of the work.
         larger: a capacity for the next attempt.
 

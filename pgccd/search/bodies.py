@@ -28,7 +28,7 @@ class MovingBodies:
         linear_path: whether vertices move on straight lines instead of arcs.
         deforming: whether the bodies are given by their vertices.
         tensors: the operators' `bodies` argument. Entries 1 to 3: positions at t0 and t1 (N, 3), of the origins or, for
-            deforming bodies, of the SBV centres; and SBV radius (N,), -inf of rigid bodies with an invalid value.
+            deforming bodies, of the SBV centres; and SBV radius (N,), -inf for rigid bodies with an invalid value.
         centre_t0, centre_t1, reach: (N, 3), (N, 3), (N,) float64: the swept spheres that broad phases test. At every t
             the body and its margin are within `reach` of the point at fraction t of the way from `centre_t0` to
             `centre_t1`, its SBV centres at t0 and t1.
@@ -100,9 +100,9 @@ class MovingBodies:
 
         Args:
             meshes: of the bodies.
-            columns: "mesh_index" (N,), those of a `RigidMotion` or `VertexMotion` by the names of their attributes,
-                and optional ones of a `Scene`; for rigid bodies also "radius" (N,), if it is not that of the mesh
-                (negative: no pair contains the body). Others are ignored.
+            columns: "mesh_index" (N,), those of a `RigidMotion` or `VertexMotion` by the names of their attributes, and
+                optional columns of a `Scene`; for rigid bodies also "radius" (N,), if it differs from the radius of the
+                mesh (negative: no pair contains the body). Other names are ignored.
             linear_path: as for a motion with path="linear".
 
         Example:

@@ -125,8 +125,8 @@ def detect(
             radius of each pair; for a point, such as a sphere, its thickness and margin count as its SBV radius.
         nonzero_toi: never report toi = 0 for a pair that starts further apart than min_separation (beyond rounding).
         initial: "report": surfaces that intersect and bodies inside of solids at t = 0 are reported. "assume_free": the
-            caller guarantees that there are none, for example because the last step ended before its first contact. The
-            tests for them are skipped.
+            caller guarantees that there are none, for example because the previous step ended before its first contact.
+            The tests for them are skipped.
         normals: "features": `Contacts.normal` is the direction between the nearest points of the two features. Where a
             body slides over an edge between coplanar faces, that may be any direction. "surface" replaces it by the
             nearest direction that the faces around these points admit. At a flat or concave edge, that is the normal of

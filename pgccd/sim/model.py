@@ -36,7 +36,7 @@ class ModelConfig:
             robot that is blocked turns to the nearest corner.
         seed: any int64.
         spacing: lattice spacing at the start, > 2. With 2.56 the SBVs fill 25 % of the box.
-        speed: mean displacement per step; that of a robot is 0.5 to 1.5 times this.
+        speed: mean displacement per step; a robot moves 0.5 to 1.5 times as far.
         spin: largest rotation per step, radians.
         course_steps: mean number of steps on one course (random, and while staying in a corner).
         resume_steps: mean number of steps after which a robot that was reversed turns to its corner again.

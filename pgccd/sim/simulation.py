@@ -100,7 +100,7 @@ class Simulation(RankSteps[Step, CommittedStep, StepGraph]):
         Args:
             comm: between the ranks.
             model: the rules, the same on all ranks, on this rank's device.
-            partition: the same on all ranks. Default: that of the options.
+            partition: the same on all ranks. Default: as the options say.
             state: of any share of the robots; each robot is on exactly one rank. Default: all robots at the start.
             options: of the distribution over ranks, the same on all.
             graph: whether steps are replayed, the same on all ranks. Default: if messages are sent on a GPU's stream.

@@ -75,8 +75,8 @@ class MuJoCo(Simulator):
         )
 
     def _never_tested(self, owner: np.ndarray, static: np.ndarray) -> np.ndarray:
-        """(E, 2): pairs that MuJoCo leaves out by their bodies (N,), besides static ones; if there are elements `pair`,
-        by contype and conaffinity too.
+        """(E, 2): pairs that MuJoCo leaves out by their bodies (N,), without static pairs; if there are elements
+        `pair`, also those left out by contype and conaffinity.
         """
         model = self._model
         i, j = np.triu_indices(len(owner), 1)

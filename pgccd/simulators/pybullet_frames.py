@@ -24,9 +24,10 @@ class PyBullet(Simulator):
     """The collision shapes of a PyBullet world, as the bodies of a scene.
 
     Shapes of one multibody are not tested against each other, which is PyBullet's default; its other filters are
-    ignored. Shapes of bases without mass and links are static. Meshes of files are taken as they are, in metres;
-    PyBullet replaces them by their hulls. These meshes, and hulls of points, are thickened by their collision margin,
-    as in PyBullet: by at least 0.001. Boxes have sharp edges here; PyBullet rounds them with a radius of its margin.
+    ignored. The shape of a body that has neither links nor mass is static. Meshes of files are taken as they are, in
+    metres; PyBullet replaces them by their hulls. These meshes, and hulls of points, are thickened by their collision
+    margin, as in PyBullet: by at least 0.001. Boxes have sharp edges here; PyBullet rounds them with a radius of its
+    margin.
 
     Args:
         client: number of the physics server, as `pybullet.connect` returns it.

@@ -183,7 +183,7 @@ def _capsule(count: int) -> _Piece:
 
 
 def _capsule_of(sides: int, rings: int) -> _Piece:
-    """A prism with two ends of so many rings, each of which ends in a point: one pole, the rings in their order along
+    """A prism with two ends of `rings` rings, each of which closes in a point: one pole, the rings in their order along
     the segment, the other pole.
     """
     angle, here = 2.0 * np.pi * np.arange(sides) / sides, np.arange(sides)

@@ -117,8 +117,8 @@ def search_share(
         decomposition: of space.
         own: columns of this rank's own bodies, "id" ascending, that are sent for ghosts.
         bodies: the own bodies, made with `wait=False`; `stoppable` for pairs at any times.
-        complete: given the columns of ghosts, which their owners have validated, those of their scene and motion,
-            bitwise equal to what the owner has. Deforming bodies have those of their vertices besides.
+        complete: returns the columns of the scene and motion of ghosts, given the sent columns, which their owners have
+            validated. They equal the owner's, bit by bit. Deforming bodies also have the columns of their vertices.
         options: of the detection.
         estimates: of the capacities of passes.
         concurrent_work: given the share, enqueues work that runs concurrently with the search of own pairs.
