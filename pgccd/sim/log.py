@@ -75,7 +75,7 @@ class StepLog:
                 if record["step"] == step and state_hash not in (None, record["state_hash"]):
                     raise FolderError(
                         f"folder: {self.path} is not of this checkpoint: the state hash of its step {step} is "
-                        f"{record['state_hash']}, in the checkpoint it is {state_hash}; to continue without it, move it"
+                        f"{record['state_hash']}, that of the checkpoint {state_hash}; to continue without it, move it"
                     )
                 kept = end
                 if record["step"] < step:

@@ -208,7 +208,7 @@ def test_the_log_of_another_run_is_refused(finished: tuple[Path, sim.Run], tmp_p
     own = (tmp_path / LOG_FILE).read_bytes()
     sim.run(sim.ModelConfig(robots=200, pattern="skewed", seed=12, speed=0.2), 12, tmp_path / "other")
     shutil.copy(tmp_path / "other" / LOG_FILE, tmp_path)
-    said = r"^folder: .*steps.jsonl is not of this checkpoint: the state hash of its step 8 is \w{16}, in the checkpoint .*"
+    said = r"^folder: .*steps.jsonl is not of this checkpoint: the state hash of its step 8 is \w{16}, that of the .*"
     with pytest.raises(FolderError, match=said) as error:
         sim.resume(tmp_path, 12)
     assert len(str(error.value).splitlines()) == 1
