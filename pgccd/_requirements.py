@@ -5,7 +5,7 @@ import platform
 import sys
 
 LEAST_TORCH = (2, 11)  # of the stable ABI that the operators are compiled for
-#: What x86-64-v3, which the modules are compiled for, has beyond x86-64-v2, as Linux names it.
+#: CPU flags, by their names in Linux, that x86-64-v3 adds to x86-64-v2. The modules are compiled for x86-64-v3.
 CPU_FLAGS = {"avx", "avx2", "bmi1", "bmi2", "f16c", "fma", "abm", "movbe", "xsave"}
 
 
@@ -44,7 +44,7 @@ def operators_do_not_load(error: ImportError) -> ImportError:
 
 
 def _cpu_flags() -> set[str]:
-    """Flags of the first CPU; all that are asked for where Linux does not tell."""
+    """Flags of the first CPU; all required flags where Linux does not tell."""
     try:
         with open("/proc/cpuinfo") as lines:
             for line in lines:

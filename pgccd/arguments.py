@@ -135,7 +135,7 @@ def rows(value: Any, name: str, count: int) -> Any:
     """An index of some of `count` rows: a mask, row numbers or a slice, but not a single number.
 
     Raises:
-        IndexError: a number is out of range (of values on a CPU; a GPU asserts).
+        IndexError: a number is out of range (values on a CPU; a GPU asserts).
     """
     if isinstance(value, slice):
         if isinstance(value.step, int) and value.step < 1:
@@ -199,8 +199,8 @@ def refuse_meta(values: Tensor, name: str) -> None:
 
 
 def refuse_transforms(values: Tensor, name: str) -> None:
-    """Raises for a tensor in a transform of `torch.func`, or one with a tangent of forward differentiation: operators
-    would drop the samples or the tangent.
+    """Raises for a tensor in a transform of `torch.func`, or with a tangent of forward differentiation, because
+    operators would drop the samples or the tangent.
     """
     if torch.compiler.is_compiling():
         return
@@ -226,7 +226,7 @@ def refuse_gradient(values: Tensor, name: str) -> None:
     """Raises if the values require grad while gradients are enabled."""
     if values.requires_grad and torch.is_grad_enabled():
         raise ValueError(
-            f"{name}: requires grad, but no gradient is computed here: pass {name}.detach(), or call it under "
+            f"{name}: requires grad, but no gradient is computed here: pass {name}.detach(), or call this under "
             "torch.no_grad()"
         )
 

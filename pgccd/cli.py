@@ -63,18 +63,20 @@ poses.npz holds, for N bodies, one of these:
   position_t0, orientation_t0, linear_velocity (N, 3), angular_velocity (N, 3) in radians, and dt, a number;
   a trajectory of T waypoints: position (T, N, 3), orientation (T, N, 4); optionally rotation (T - 1, N, 3), vectors;
   deforming bodies: x_t0, x_t1 (X, 3), the vertices of all bodies, or position (T, X, 3) alone;
-  of any trajectory, optionally margin (T - 1, N); of rigid bodies, path, "rigid" or "linear".
-Of a robot, the first MESH if it ends in .urdf or .xml (MJCF), it holds q (T, J): configurations, between which joints
-move at constant rates; other MESH files are obstacles. Contacts may be due to the margins that this takes (see
+  for any trajectory, optionally margin (T - 1, N); for rigid bodies, optionally path, "rigid" or "linear".
+If the first MESH is a robot (.urdf, or .xml for MJCF), it holds q (T, J): configurations, between which joints move at
+constant rates. All other MESH files are then obstacles. Contacts may be due to the margins of links (see
 pgccd.robots.certify).
-A pose puts a point v of a mesh file at position + R (v - origin), and the body turns about its origin: that of the
-file's coordinates, unless a scene file says otherwise. Orientations are unit quaternions (w, x, y, z), body to world.
+A pose puts a point v of a mesh file at position + R (v - origin), and the body turns about its origin: the origin of
+the file's coordinates, unless a scene file says otherwise. Orientations are unit quaternions (w, x, y, z), body to
+world.
 
 scene.json: {"meshes": ["robot.ply", "rock.obj"], "mesh_index": [0, 0, 1], "poses": "poses.npz"}; paths are relative to
 it; optional: "group", "mask", "world", "static", "self_collision", "margin", "names", lists with one value per body;
 "exclude", pairs of bodies that are never tested; "origin", one value per mesh: [x, y, z] in the file's coordinates,
-"centroid" (the SBV centre) or "center_of_mass"; "solid", one value per mesh: true, false or "auto". In Python,
-pgccd.files.save_scene and the simulators of pgccd.simulators write such files, with their meshes in an npz file."""
+"centroid" (the SBV centre) or "center_of_mass"; "solid", one value per mesh: true, false or "auto"; "thickness", one
+length per mesh. In Python, pgccd.files.save_scene and the simulators of pgccd.simulators write such files, with their
+meshes in an npz file."""
 
 
 class ArgumentError(Exception):
@@ -156,12 +158,12 @@ def _build_parser() -> argparse.ArgumentParser:
 
     detect = with_files(
         "detect",
-        "find the collisions of one step, or of a trajectory, of any meshes",
+        "find the collisions of any meshes in one step or along a trajectory",
         "Finds the collisions of one step, or along a trajectory.",
     )
     add = detect.add_argument
     add("--page", type=Path, metavar="FILE", help="write an interactive HTML page of the contacts; or a .png or .glb")
-    add("--report", choices=list(REPORTS), default="first", help="which contacts; any: colliding pairs alone (first)")
+    add("--report", choices=list(REPORTS), default="first", help="which contacts; any: only colliding pairs (first)")
     add("--min-separation", type=float, default=0.0, metavar="LENGTH", help="distance that counts as touching (0)")
     add("--tolerance", type=float, metavar="LENGTH", help="of a reported contact (1e-6 of the smaller radius)")
     add("--device", default="cpu", help="cpu, cuda, ... (cpu)")
@@ -170,7 +172,7 @@ def _build_parser() -> argparse.ArgumentParser:
 
     audit = with_files(
         "audit",
-        "find what passes between the frames of a rollout, and the frames do not show",
+        "find the contacts between the frames of a rollout that the frames do not show",
         "Finds the passages between the frames of a trajectory that the frames do not show: pairs of bodies that are\n"
         "apart at two frames, and touch in between. A file with position and orientation, or with position alone, is\n"
         "read frame by frame, and may be larger than memory.",
@@ -356,7 +358,7 @@ def _inputs(
     options: argparse.Namespace, device: torch.device, needs_motion: bool, by_frames: bool = False
 ) -> tuple[pgccd.Scene, Any, str, list[str] | None]:
     """The scene and motion that the options name, the option of the motion, and the names of the bodies, if files have
-    them. With `by_frames` the motion is an iterator over frames where the file allows it.
+    them. With `by_frames` the motion is an iterator over frames, if the file allows it.
     """
     read = _load_frames if by_frames else load_motion
     if options.page is not None:
@@ -394,8 +396,8 @@ def _load_frames(path: str | Path, device: torch.device) -> Any:
 
 
 def _robot(options: argparse.Namespace, device: torch.device) -> tuple[pgccd.Scene, AnyMotion, list[str]]:
-    """A robot and its obstacles, on its path through configurations; without --motion where all joints are 0. Links of
-    the robot and files of the obstacles name the bodies.
+    """A robot and its obstacles, on its path through configurations; without --motion, with all joints at 0. Bodies
+    have the names of the robot's links and of the obstacles' files.
     """
     file, *others = options.meshes
     try:
@@ -537,7 +539,7 @@ def _contact_rows(hits: pgccd.Contacts | pgccd.CollidingPairs, names: Sequence[s
         kept = ["segment", "toi", "time"] if isinstance(hits, pgccd.TrajectoryContacts) else ["toi"]
         kept += ["approach", "measure"] if isinstance(hits, pgccd.Passages) else []
         columns |= {name: getattr(hits, name).tolist() for name in (*kept, "kind", "features", "point", "normal")}
-        # Of bodies inside of solids, which have none.
+        # Bodies inside of solids have no normal.
         columns["normal"] = [None if math.isnan(x) else [x, y, z] for x, y, z in columns["normal"]]
         columns["kind"] = [pgccd.Kind.names()[kind] for kind in columns["kind"]]
         columns["status"] = [pgccd.Status.names()[status] for status in hits.status.tolist()]

@@ -31,13 +31,13 @@ _END = ("position_t1", "orientation_t1")
 _VELOCITY = ("linear_velocity", "angular_velocity", "dt")
 _VERTICES = ("x_t0", "x_t1")
 _WAYPOINTS = ("position", "orientation", "rotation", "margin", "path", "rounding")
-# What a file need not say of a motion.
+# Optional entries of a motion in a file.
 _DEFAULTS = {"path": "rigid", "rounding": np.finfo(np.float64).eps}
 # The keys of each kind of motion: required ones, then others.
 _KINDS = ((_VERTICES, ()), (_WAYPOINTS[:1], _WAYPOINTS[1:]), (_START, (*_END, *_VELOCITY, "rotation", "path")))
 _SCENE = ("meshes", "mesh_index", "poses")
 _OPTIONAL = (*OPTIONAL_COLUMNS, "self_collision", "exclude")
-# Of mesh files, one value a mesh.
+# Options of mesh files, one value per mesh.
 _OF_MESHES: dict[str, Any] = {"origin": (0.0, 0.0, 0.0), "solid": False, "thickness": 0.0}
 # Entries of a mesh's state that may be None, and are then not in a file.
 _MAYBE = ("name", "unit", "source_vertex", "source_face")
@@ -57,7 +57,7 @@ def load_motion(
     * x_t0 and x_t1 (X, 3), vertices of all bodies: a `VertexMotion`; or position (T, X, 3) alone: a `Trajectory` of
       deforming bodies.
 
-    A trajectory may have margin (T - 1, N), and rounding, that of its `state_dict`. Motions of rigid bodies and
+    A trajectory may have margin (T - 1, N), and rounding from its `state_dict`. Motions of rigid bodies and
     trajectories may have path, "rigid" or "linear".
 
     Args:
@@ -78,7 +78,7 @@ def load_motion(
     required, others = next((kind for kind in _KINDS if any(name in arrays for name in kind[0])), _KINDS[-1])
     for name in arrays:
         if name not in (*required, *others):
-            raise ValueError(f"{path} has {name!r} beside {required[0]!r}: expected the one or the other")
+            raise ValueError(f"{path} has {name!r} beside {required[0]!r}: expected only one of them")
     for name in required:
         if name not in arrays:
             raise ValueError(f"{path} has no {name!r}")
@@ -96,9 +96,9 @@ def load_motion(
         raise ValueError(f"{path}: {error}") from error
     by_velocity = any(name in columns for name in _VELOCITY)
     if by_velocity and (both := [name for name in (*_END, "rotation") if name in columns]):
-        raise ValueError(f"{path} has {both[0]!r} beside velocities: expected the one or the other")
+        raise ValueError(f"{path} has {both[0]!r} beside velocities: expected only one of them")
     if "rotation" in columns and "orientation_t1" in columns:
-        raise ValueError(f"{path} has 'orientation_t1' beside 'rotation': expected the one or the other")
+        raise ValueError(f"{path} has 'orientation_t1' beside 'rotation': expected only one of them")
     for name in _VELOCITY if by_velocity else (_END[0], "rotation" if "rotation" in columns else _END[1]):
         if name not in columns:
             raise ValueError(f"{path} has no {name!r}")
@@ -145,11 +145,12 @@ def load_scene(
 ) -> tuple[Scene, RigidMotion | VertexMotion | Trajectory]:
     """A scene and its motion from a JSON file.
 
-    The file holds {"meshes": [files], "mesh_index": [numbers], "poses": npz file as for `load_motion`}, paths relative
-    to it; and optionally "group", "mask", "world", "static", "self_collision", "margin" and "names", lists with one
-    value per body; "exclude", a list of pairs of bodies that are never tested; and "origin", "solid" and "thickness",
-    lists with one value per mesh: a point [x, y, z] or a name; true, false or "auto"; and a length, as for `Mesh`. In
-    place of a list, "meshes" may be the npz file that `save_scene` writes, which holds these too.
+    The file holds {"meshes": [files], "mesh_index": [numbers], "poses": npz file as for `load_motion`}, with paths
+    relative to it. Optional entries are "group", "mask", "world", "static", "self_collision", "margin" and "names",
+    lists with one value per body; "exclude", a list of pairs of bodies that are never tested; and, as for `Mesh`, lists
+    with one value per mesh: "origin", a point [x, y, z] or a name; "solid", true, false or "auto"; and "thickness", a
+    length. In place of a list, "meshes" may be the npz file that `save_scene` writes, which holds "origin", "solid" and
+    "thickness" too. Lengths of mesh files that state their unit are converted to metres.
 
     Args:
         path: of the file.
@@ -166,7 +167,7 @@ def load_scene(
 
 
 def load_names(path: str | PathLike[str]) -> list[str] | None:
-    """The names of the N bodies of a JSON file as for `load_scene`, (N,) strings; None if it has none.
+    """The names of the N bodies in a JSON file as for `load_scene`, (N,) strings; None if it has no names.
 
     Args:
         path: of the file.
@@ -190,10 +191,10 @@ def save_scene(
 ) -> Path:
     """Writes a scene and its motion to files that `load_scene`, `pgccd audit`, `pgccd detect` and `pgccd view` read.
 
-    Of scene.json it writes three files: scene.json with the columns of the scene, which may be edited; the meshes,
-    scene.meshes.npz; and the motion, scene.poses.npz, as for `load_motion`. Files of these names are replaced. What is
-    read again is the same, bit by bit, and so are contacts and audits; gradients are not stored. If the call fails or
-    is interrupted, there is no scene.json, or the former one.
+    For the path scene.json it writes three files: scene.json with the columns of the scene, which may be edited;
+    scene.meshes.npz with the meshes; and scene.poses.npz with the motion, as for `load_motion`. Files of these names
+    are replaced. The scene and motion that are read again, their contacts and audits are the same, bit by bit;
+    gradients are not stored. If the call fails or is interrupted, there is no scene.json, or the former one.
 
     Args:
         path: of the JSON file.
@@ -280,7 +281,9 @@ def _stored(state: Mapping[str, Any]) -> dict[str, np.ndarray]:
 
 
 def _save_frames(path: Path, scene: Scene, frames: Iterable[Frame]) -> None:
-    """Writes an npz file of frames: as arrays beside it, since their number is not known before the last one."""
+    """Writes an npz file of frames, by way of arrays in files beside it, since the number of frames is not known before
+    the last one.
+    """
     count, shapes = 0, dict[str, tuple[int, ...]]()
     with ExitStack() as opened:
         files: dict[str, IO[bytes]] = {}
@@ -368,7 +371,7 @@ def _frames(
         columns = [_rows_of(path, name, files.enter_context(archive.open(f"{name}.npy"))) for name in names]
         for rows in itertools.zip_longest(*columns):
             if any(row is None for row in rows):
-                raise ValueError(f"{path}: position and orientation: expected as many frames in both")
+                raise ValueError(f"{path}: position and orientation: expected the same number of frames in both")
             frame = tuple(_as_column(path, name, row).to(device) for name, row in zip(names, rows, strict=True))
             yield frame if len(frame) == 2 else frame[0]
 
@@ -472,7 +475,7 @@ def _meshes_of(path: Path, content: Mapping[str, Any]) -> list[Mesh]:
     for key, default in _OF_MESHES.items():
         values = content.get(key, [default] * len(files))
         if not isinstance(values, list) or len(values) != len(files):
-            raise ValueError(f"{key}: expected a list of {len(files)} values, one a mesh, got {values!r}")
+            raise ValueError(f"{key}: expected a list of {len(files)} values, one per mesh, got {values!r}")
         columns.append(values)
     of_files = zip(files, *columns, strict=True)
     return [

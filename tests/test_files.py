@@ -68,11 +68,11 @@ def test_every_column_of_a_motion_arrives(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("columns", "message"),
     [
-        ({**ENDS, "linear_velocity": W[0]}, "has 'position_t1' beside velocities: expected the one or the other"),
+        ({**ENDS, "linear_velocity": W[0]}, "has 'position_t1' beside velocities: expected only one of them"),
         ({**VELOCITIES, "orientation_t1": Q[1]}, "has 'orientation_t1' beside velocities"),
         (
             {"position": X, "orientation": Q, "x_t0": X[0]},
-            "has 'position' beside 'x_t0': expected the one or the other",
+            "has 'position' beside 'x_t0': expected only one of them",
         ),
         ({"position": X, "orientation": Q, "dt": np.array(0.1)}, "has 'dt' beside 'position'"),
         ({"x_t0": X[0]}, "has no 'x_t1'"),
@@ -81,7 +81,7 @@ def test_every_column_of_a_motion_arrives(tmp_path: Path) -> None:
         ({"orientation_t0": Q[0]}, "has no 'position_t0'"),
         ({**VELOCITIES, "dt": np.array([0.1, 0.2])}, r"dt: expected one number, got shape \(2,\)"),
         ({**VELOCITIES, "rotation": W[0]}, "has 'rotation' beside velocities"),
-        ({**ENDS, "rotation": W[0]}, "has 'orientation_t1' beside 'rotation': expected the one or the other"),
+        ({**ENDS, "rotation": W[0]}, "has 'orientation_t1' beside 'rotation': expected only one of them"),
         ({"position_t0": X[0], "orientation_t0": Q[0], "rotation": W[0]}, "has no 'position_t1'"),
         ({**ENDS, "path": np.array("bent")}, r"path: expected one of \['rigid', 'linear'\], got 'bent'"),
         ({**ENDS, "path": np.array([1.0, 2.0])}, r"path: expected one of .*, got \[1.0, 2.0\]"),
@@ -139,7 +139,7 @@ def test_every_entry_of_a_scene_arrives(tmp_path: Path) -> None:
     # The format states no unit: lengths are taken to be in metres.
     assert made.meshes.meshes[0].unit == 1.0
     for origin in ([[0.0, 0.0, 0.0]], "centroid"):
-        with pytest.raises(ValueError, match="scene.json: origin: expected a list of 2 values, one a mesh, got"):
+        with pytest.raises(ValueError, match="scene.json: origin: expected a list of 2 values, one per mesh, got"):
             load(origin=origin)
     # The list of meshes says how many bodies there are: it is at fault, whatever the motion is.
     moved = {"position_t0": X[0], "orientation_t0": Q[0], "position_t1": X[1], "orientation_t1": Q[1]}
@@ -151,7 +151,7 @@ def test_every_entry_of_a_scene_arrives(tmp_path: Path) -> None:
         with pytest.raises(ValueError, match=f"scene.json: {message}"):
             files.load_scene(tmp_path / "scene.json")
     for changed, message in (
-        ({"solid": [True]}, "solid: expected a list of 2 values, one a mesh, got"),
+        ({"solid": [True]}, "solid: expected a list of 2 values, one per mesh, got"),
         ({"solid": [True, 3]}, "solid: expected True, False or .auto., got 3"),
         ({"names": ["a"]}, "names: expected 2 strings, one per body, got 1"),
         ({"names": "ab"}, "names: expected a list of strings, one per body, got 'ab'"),

@@ -80,7 +80,7 @@ def test_colliding_pairs() -> None:
     assert repr(colliding) == "CollidingPairs(count=1, pcs=1, device=cpu)"
     with pytest.raises(AttributeError, match="'CollidingPairs' object has no attribute 'first_toi'"):
         colliding.first_toi()  # type: ignore[attr-defined]
-    with pytest.raises(ValueError, match='^report: "any" is a call of its own: pgccd.collide finds the pairs'):
+    with pytest.raises(ValueError, match='^report: "any" finds no contacts: call pgccd.collide to find the pairs'):
         pgccd.detect(scene, motion, "any")  # type: ignore[call-overload]
     with pytest.raises(TypeError, match="nonzero_toi"):
         pgccd.collide(scene, motion, nonzero_toi=True)  # type: ignore[call-overload]
@@ -101,7 +101,7 @@ def test_capacities() -> None:
     assert_type(pairs.trim(), pgccd.CollidingPairs)
     assert bool(pairs.may_collide()) and len(pairs.trim()) == 1
     with pytest.raises(
-        TypeError, match=r"^Capacity: it is made by Capacity.of\(body_count\), or taken from Stats.needed"
+        TypeError, match=r"^Capacity: make it by Capacity.of\(body_count\), or take it from Stats.needed"
     ):
         pgccd.Capacity(100)  # type: ignore[arg-type]
     with pytest.raises(
@@ -148,7 +148,7 @@ def test_captured_detection() -> None:
     assert_type(pairs.replay(), pgccd.PaddedCollidingPairs)
     assert_type(pairs.pairs(), pgccd.CollidingPairs)
     assert bool(pairs(motion).may_collide()) and pairs.pairs() == pgccd.collide(scene, motion)
-    with pytest.raises(ValueError, match='^report: "any" is a call of its own: pgccd.CapturedCollision finds'):
+    with pytest.raises(ValueError, match='^report: "any" finds no contacts: call pgccd.CapturedCollision to find'):
         pgccd.CapturedDetection(scene, motion, "any")  # type: ignore[arg-type]
 
 
@@ -185,16 +185,14 @@ def test_world_of_pairs() -> None:
     world = distributed.World.create(scene, motion.position_t0, *box)
     assert_type(world.collide(motion), pgccd.CollidingPairs)
     assert world.collide(motion).pairs.tolist() == world.collide(waypoints()).pairs.tolist() == [[0, 1]]
-    with pytest.raises(ValueError, match='^report: "any" is a call of its own: World.collide finds the pairs'):
+    with pytest.raises(ValueError, match='^report: "any" finds no contacts: call World.collide to find the pairs'):
         options = distributed.WorldOptions(report="any")  # type: ignore[arg-type]
         distributed.World.create(scene, motion.position_t0, *box, options=options)
 
 
 def test_worlds_are_made_by_create() -> None:
     scene, motion = two_bodies()
-    with pytest.raises(
-        TypeError, match=r"^World: it is made by World.create\(scene, position, lower, upper, ...\) or "
-    ):
+    with pytest.raises(TypeError, match=r"^World: make it by World.create\(scene, position, lower, upper, ...\) or "):
         distributed.World(scene.meshes.meshes)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match=r"^report: expected one of \['first', 'all', 'earliest'\], got 'some'$"):
         options = distributed.WorldOptions(report="some")  # type: ignore[arg-type]

@@ -53,30 +53,32 @@ def audit(
       frames alone finds nothing; and
     * it touches in between, on the paths that `Trajectory` defines between the two frames.
 
-    No passage is missed on these paths, and each comes within min_separation + tolerance at its toi. What frames show
-    is no passage in the segments before and after, whatever happens there, and is listed apart:
+    No passage is missed on these paths, and each comes within min_separation + tolerance at its toi. A pair that
+    touches or is enclosed at a frame has no passage in the segments before and after that frame, whatever happens
+    there. Such pairs are listed separately:
 
     * `Audit.touching`: pairs that touch at frames, as runs of frames: resting contacts, and bodies that intersect where
-      a segment starts or ends. Decided by a detection of the bodies at rest, with the same tolerance.
-    * `Audit.enclosed`: pairs that touch at neither frame but in between, of which one body is wholly inside the other
-      one at a frame. A body that is not watertight has no inside; that bodies are marked as solids changes nothing.
+    a segment starts or ends. Decided by a detection of the bodies at rest, with the same tolerance. * `Audit.enclosed`:
+    pairs that touch at neither frame but in between, of which one body is wholly inside the other one at a frame. A
+    body that is not watertight has no inside. Marking bodies as solids changes nothing.
 
-    Margins of the trajectory, `Trajectory(margin=...)`, count between frames only: with them no passage on the true
-    path is missed, but one may be reported that comes close without touching; at toi 0 where the pair is within these
-    margins at the frame.
+    Margins of the trajectory, `Trajectory(margin=...)`, count only between frames. With them no passage on the true
+    path is missed, but a pair that comes close without touching may be reported; with toi 0, if the pair is within
+    these margins at the frame.
 
-    The frames are taken a few thousand bodies at a time, so that memory does not grow with their number, except by what
-    is found. Bits of the result do not depend on that.
+    Frames are read a few thousand bodies at a time, so memory does not grow with the number of frames, except by what
+    is found. The bits of the result do not depend on that.
 
     Args:
         scene: the bodies.
         trajectory: a `Trajectory`; or any iterable of frames, such as a generator that runs a simulator: pairs of
-            positions (N, 3) and orientations (N, 4), as tensors or arrays, or vertices (X, 3) of deforming bodies. See
-            `pgccd.simulators`, which makes frames of simulators, and `pgccd.files.iterate_frames`. Frames are copied.
+            positions (N, 3) and orientations (N, 4), as tensors or arrays, or vertices (X, 3) of deforming bodies.
+            `pgccd.simulators` makes frames from simulators, and `pgccd.files.iterate_frames` reads them. Frames are
+            copied.
         min_separation, tolerance, broad_phase: as for `pgccd.detect`.
-        path: of the bodies between frames, "rigid" or "linear", as for `Trajectory`; of a `Trajectory` its own counts.
-        keep: number of segments, those with the deepest passages, whose poses are kept for a picture
-            (`Audit.steps`).
+        path: of the bodies between frames, "rigid" or "linear", as for `Trajectory`. A given `Trajectory` keeps its
+            own.
+        keep: number of segments whose poses are kept for a picture (`Audit.steps`): those with the deepest passages.
 
     Returns:
         `Audit`, on the scene's device. Synchronises with a GPU.
@@ -153,7 +155,8 @@ class _Auditor:
         assert isinstance(found, Contacts)
         found.pairs, found._bodies = pairs, SceneBodies.of(self.scene)
         found.stats.bodies = self.scene.body_count
-        # A contact at toi 0 is one of the frame, unless paths have margins; of the others both frames are tested.
+        # A contact at toi 0 is a contact at the frame, unless paths have margins. For other contacts both frames are
+        # tested.
         starts, ends = (found.toi == 0.0) & (part.margin is None), torch.zeros_like(segment, dtype=torch.bool)
         later = torch.nonzero(~starts).flatten()
         starts[later], ends[later] = self._at_both_ends(part, segment[later], pairs[later], self._touch)

@@ -72,10 +72,10 @@ class Audit:
     """What `pgccd.audit` finds between and at the frames of a rollout.
 
     Attributes:
-        passages: between frames that do not show them.
-        touching: pairs that touch at frames.
-        enclosed: of pairs that touch at neither frame, but of which one body is wholly inside the other one at a frame:
-            they pass the surface of a solid, into it or out of it.
+        passages: `Passages`: contacts between frames, which no frame shows.
+        touching: `Touching`: pairs that touch at frames.
+        enclosed: `Passages` of pairs that touch at neither frame, but of which one body is wholly inside the other one
+            at a frame: they pass the surface of a solid, into it or out of it.
         frames: number of frames.
 
     Example:
@@ -91,8 +91,8 @@ class Audit:
     _kept: list[tuple[int, RigidMotion | VertexMotion]] = field(default_factory=list)
 
     def steps(self) -> tuple[list[RigidMotion | VertexMotion], list[Contacts]]:
-        """The segments with the deepest passages, up to the number that `keep` says, in the order of time: their
-        motions, and the passages in each. For `pgccd.show`.
+        """Up to `keep` segments with the deepest passages, in the order of time: their motions, and the passages in
+        each. For `pgccd.show`.
 
         Example:
             >>> found = pgccd.audit(scene, [(x0, q0), (x0 + 2.0 * v, q1)])

@@ -10,7 +10,7 @@ from torch import Tensor
 
 @dataclass
 class Runs:
-    """Runs of frames at which pairs touch, found window by window; memory is that of the runs.
+    """Runs of frames at which pairs touch, found window by window. Memory is proportional to the number of runs.
 
     Runs are rows (R, 4): pair i and j, first and last frame.
     """

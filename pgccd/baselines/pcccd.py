@@ -1,9 +1,9 @@
 """PCCCD: voxel-based parallel collision detection on CPUs, extended to continuous collision detection.
 
-The algorithm of Lawlor & Kale, "A voxel-based parallel collision detection algorithm" (ICS 2002), which Du, Liu &
-Suzumura (2017) compare with under this name: bodies are not migrated; the voxels of a sparse regular grid distribute
-the work. Differences from the original: boxes enclose triangles swept over a step, pgccd's certified tests solve the
-pairs found, and all boxes for one rank are sent in one message.
+The algorithm of Lawlor & Kale, "A voxel-based parallel collision detection algorithm" (ICS 2002). Du, Liu & Suzumura
+(2017) compare with it under this name. Bodies are not migrated; the voxels of a sparse regular grid distribute the
+work. Differences from the original: boxes enclose triangles swept over a step, pgccd's certified tests solve the pairs
+found, and all boxes for one rank are sent in one message.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from pgccd.search.bodies import MovingBodies
 from pgccd.search.checks import Initial
 from pgccd.search.query import Query
 
-# For the nanorobots; from 6 to 9 edges the time is within a tenth of the minimum, at 15 twice the minimum.
+# For the nanorobots: from 6 to 9 edges the time is within a tenth of the minimum; at 15 edges it is twice the minimum.
 _EDGES_A_VOXEL = 8.0
 
 

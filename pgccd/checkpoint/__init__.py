@@ -8,9 +8,9 @@
         newest.json                              makes this the newest one, if it is copied to `checkpoints`
 
 Every checkpoint is a new folder. Its files are synced to disk and seen by rank 0 before the index is written, and the
-index before `newest.json`; earlier checkpoints are removed last, except the newest of them. So there is a complete
-checkpoint at any time after the first. Files are regular and of a sane size, and their hashes are checked, before they
-are read: a modified, truncated or exchanged file raises an error.
+index before `newest.json`; earlier checkpoints are removed last, except the newest of them. There is a complete
+checkpoint at any time after the first one. Files are regular and of a sane size, and their hashes are checked, before
+they are read: a modified, truncated or exchanged file raises an error.
 
 Simulations and `pgccd.distributed.World` write checkpoints, on one rank or many; any number of ranks can read them.
 """

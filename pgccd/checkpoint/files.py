@@ -161,8 +161,8 @@ def rows_hash(columns: Columns, rank: int, begin: int) -> int:
 
 
 def require_writable(root: Path) -> None:
-    """Creates the folder `checkpoints` if needed, and a file in it for a moment: a run that could not write a
-    checkpoint fails before its first step.
+    """Creates the folder `checkpoints` if needed, and for a moment a file in it, so that a run that cannot write
+    checkpoints fails before its first step.
 
     Raises:
         CheckpointError: no file can be created there.
@@ -278,8 +278,8 @@ def discard(root: Path, name: str) -> None:
 
 
 def orphans(root: Path) -> list[str]:
-    """Names of complete checkpoints in a folder without `newest.json`, which has been lost. Without those of which the
-    writing was interrupted before they became the newest: these have a pointer of their own.
+    """Names of complete checkpoints in a folder that has lost `newest.json`. Checkpoints whose writing was interrupted
+    before they became the newest have a pointer of their own, and are left out.
     """
     if not root.is_dir():
         return []

@@ -1,5 +1,5 @@
-"""Files that are regular and of a sane size: checked before they are read, since a pipe would wait for a writer, and a
-file with holes may be larger than the memory.
+"""Reads only files that are regular and of a sane size: a pipe would wait for a writer, and a file with holes may be
+larger than the memory.
 """
 
 import errno

@@ -23,23 +23,23 @@ _SAME_PLACE = 1e-10
 
 def approach_rates(scene: Scene, motion: RigidMotion | VertexMotion | Trajectory, hits: Contacts) -> Tensor:
     """The rate at which the gap between the nearest points of contacts closes at toi, along `normal`, in the scene's
-    length units per step (of a trajectory, per segment); divided by the duration of the step it is the normal approach
-    velocity. Negative: they recede. 0: they rest or slide. Has gradients if toi has.
+    length units per step (for a trajectory, per segment). Divided by the duration of the step, it is the normal
+    approach velocity. Negative: the points recede. 0: they rest or slide. Has gradients if toi has.
 
     Where features touch exactly, their normal may point to the wrong side on bodies that are not convex, unless
-    `detect` was given normals="surface". If toi > 0 the rate is positive nevertheless: they were apart before. At t = 0
-    it has the sign that the normal gives; `pgccd.approaching` does not depend on it. A body inside of a solid, of kind
-    `INSIDE`, has no normal, and the rate is NaN.
+    `detect` was given normals="surface". If toi > 0 the rate is positive nevertheless, since the features were apart
+    before. At t = 0 it has the sign that the normal gives; `pgccd.approaching` does not depend on that sign. A body
+    inside of a solid, of kind `INSIDE`, has no normal, and the rate is NaN.
 
     Args:
-        scene, motion: with which `detect` found the contacts, unchanged.
+        scene, motion: those that `detect` found the contacts with, unchanged.
         hits: K contacts, on the scene's device.
 
     Returns:
         (K,) float64. Synchronises with a GPU.
 
     Raises:
-        TypeError, ValueError: naming the argument; also if the contacts are those of one of several ranks.
+        TypeError, ValueError: naming the argument; also if the contacts are of one of several ranks.
 
     Example:
         >>> speed = pgccd.approach_rates(scene, motion, hits).clamp(min=0.0) / dt
@@ -59,8 +59,8 @@ def approach_rates(scene: Scene, motion: RigidMotion | VertexMotion | Trajectory
 def moving_bodies(
     scene: Scene, motion: RigidMotion | VertexMotion | Trajectory, hits: Contacts
 ) -> tuple[Scene, RigidMotion | VertexMotion, Tensor]:
-    """The scene and the motion of contacts, of a trajectory with copies of all bodies for each segment; and the rows of
-    their bodies (K, 2).
+    """The scene and the motion of contacts (for a trajectory, with copies of all bodies for each segment), and the rows
+    of their bodies (K, 2).
 
     Raises:
         TypeError, ValueError: naming the argument that is not of these contacts.
@@ -98,8 +98,7 @@ def checked_rates(
     Synchronises with a GPU.
 
     Raises:
-        ValueError: the features of a contact are elsewhere at toi: then the scene or the motion is another one, and
-            what it says of the rest of the step is not about these contacts.
+        ValueError: the features of a contact are elsewhere at toi: scene or motion are not those of these contacts.
     """
     rate, is_reversed, away, size = ops.closing_rates(*operands(scene, motion, bodies, contacts))
     # A body inside of a solid has no rate, and always stays in.

@@ -99,8 +99,8 @@ def any_contact(pairs: Tensor, bodies: SceneBodies | None, by: By) -> Tensor:
 
 
 def owners(pairs: Tensor, bodies: SceneBodies | None, by: By) -> tuple[Tensor, int]:
-    """For both bodies of each row of `pairs` (K, 2) the body or its world, (2 K,), and their number, which stands for
-    padding.
+    """For both bodies of each row of `pairs` (K, 2) the body or its world, (2 K,), and the number of bodies or worlds,
+    which stands for padding.
     """
     if bodies is None:
         raise ValueError(f"by: {by!r} needs the result of `pgccd.detect`; on many ranks see `World.first_toi`")

@@ -57,8 +57,8 @@ def earliest_row(toi: Tensor, *ties: Tensor) -> Tensor:
 
 
 def earliest_of_each(owner: Tensor, count: int, *order: Tensor) -> Tensor:
-    """Rows, ascending by owner: of each owner that has any of the rows (K,) the first by the columns of `order` (K,),
-    then by row. Synchronises.
+    """One row of each owner that has any, ascending by owner: the first by the columns of `order` (K,), then by row.
+    Synchronises.
 
     Args:
         owner: (K,) in [0, count).
@@ -123,8 +123,8 @@ class Stats:
 
     @classmethod
     def _of_parts(cls, parts: Sequence[Stats], contacts: int, device: torch.device) -> Stats:
-        """The statistics of several searches of the same bodies, with so many contacts: sums, and the largest scratch
-        memory.
+        """The statistics of several searches of the same bodies, with this number of contacts: sums, and the largest
+        scratch memory.
         """
         stats = cls(bodies=parts[0].bodies, broad_phase=parts[0].broad_phase, contacts=contacts)
         for part in parts:
@@ -175,8 +175,8 @@ class PairColumns(Columns):
 
     def may_collide(self, by: By = "scene") -> Tensor:
         """Whether there is a contact, bool: () for the "scene", (W,) per "world" (W is one more than the largest world
-        index), or (N,) per "body"; for every report. True where the result is incomplete, see `PaddedContacts`; with
-        report="earliest", which leaves out the contacts of other pairs, everywhere if there is a contact. Does not
+        index), or (N,) per "body". Works with every report. True where the result is incomplete, see `PaddedContacts`.
+        With report="earliest", which leaves out contacts of other pairs, one contact makes all values True. Does not
         synchronise.
 
         Raises:
@@ -197,8 +197,8 @@ class PairColumns(Columns):
         """Raises ValueError if other ranks may have other contacts."""
         if self._is_of_rank:
             raise ValueError(
-                "hits: has the contacts of this rank's bodies alone: see World.first_toi, and Comm.min or Comm.any for "
-                "all ranks"
+                "hits: holds only the contacts of this rank's bodies: for all ranks use World.first_toi, Comm.min or "
+                "Comm.any"
             )
 
 
@@ -223,11 +223,12 @@ class ContactColumns(PairColumns):
     def first_toi(self, by: By = "scene") -> Tensor:
         """The first toi, float64, inf without a contact: () for the "scene", (W,) per "world" (W is one more than the
         largest world index), or (N,) per "body". 0 where the result is incomplete, see `PaddedContacts`. With
-        report="earliest", which leaves out the contacts of other pairs, that of the scene everywhere: no other world or
+        report="earliest", which leaves out contacts of other pairs, every value is the scene's first toi: no world or
         body has an earlier one. Does not synchronise.
 
-        All bodies of the scene, or of a world, may move until its first toi. A body may not move until its own toi
-        alone: others, tested against its whole path, may then collide with it where it stops.
+        All bodies of the scene, or of a world, may move until the first toi of that scene or world. Do not move each
+        body until its own first toi: other bodies, which were tested against its whole path, may collide with it where
+        it stops.
 
         Raises:
             ValueError: `by` is unknown or needs a scene; or these are the contacts of one of several ranks.
@@ -239,16 +240,17 @@ class ContactColumns(PairColumns):
         return self._first_time(self.toi, by, self._incomplete)
 
     def stencils(self, scene: Scene) -> tuple[Tensor, Tensor]:
-        """Each contact as a weighted sum of the four vertices of its features: with negative weights for body i, the
-        sum of weight times position at toi is the gap, from i to j. The same weights spread a force over the vertices.
+        """Each contact as a weighted sum of the four vertices of its features: the weights of body i are negative, and
+        the sum of weight times position at toi is the gap, from i to j. The same weights spread a force over the
+        vertices.
 
         Args:
             scene: of which these are the contacts.
 
         Returns:
             Vertices (K, 4) int64, rows of the vertices of the scene's bodies, one body after the other, as in a
-            `VertexMotion`; and weights (K, 4) float64. 0 for contacts without a stencil: edges through faces at the
-            start, bodies inside of solids, and padding.
+            `VertexMotion`; and weights (K, 4) float64. Both are 0 for contacts without a stencil: edges through faces
+            at the start, bodies inside of solids, and padding.
 
         Raises:
             TypeError, ValueError: `scene` has another number of bodies; or these are contacts of one of several ranks.
@@ -292,10 +294,10 @@ class ContactColumns(PairColumns):
 
     @property
     def starts_intersecting(self) -> Tensor:
-        """(K,) bool: contacts with toi 0, of pairs whose surfaces intersect, touch or are within min_separation and
-        margins (plus the tolerance) at t = 0; of a trajectory, at the start of the segment. All other pairs are free
-        until the first toi of the other contacts, which needs report="first" or "all": "earliest" has one contact, and
-        leaves out those of other pairs. False in an incomplete result, see `PaddedContacts`.
+        """(K,) bool: contacts with toi 0: the surfaces of the pair intersect, touch or are within min_separation and
+        margins (plus the tolerance) at t = 0; for a trajectory, at the start of the segment. All other pairs are free
+        until the first toi of the other contacts. Needs report="first" or "all", since "earliest" leaves out the
+        contacts of other pairs. False in an incomplete result, see `PaddedContacts`.
 
         Raises:
             ValueError: the report was "earliest".
@@ -401,11 +403,13 @@ class Contacts(ContactColumns, CountedRows):
         features: (K, 2) int32: vertex, face or edge index of i, then of j, in their meshes; an edge is a row of
             `Mesh.edges`.
         coordinates: (K, 2) float64, of the nearest points at toi: (u, v) of the face point f0 + u (f1 - f0) + v (f2 -
-            f0), with the face's vertices in the order of `Mesh.faces`; of kind EE (u, v) along i's and j's edge, from
-            its smaller vertex.
-        point: (K, 3) float64: halfway between the nearest points at toi; of an edge through a face, where it passes.
-        normal: (K, 3) float64, unit vector from i (of a body with itself, from the first feature) towards j at toi;
-            zero if degenerate features coincide. Of an edge through a face it is the face's, on the side of j's centre.
+            f0), with the face's vertices in the order of `Mesh.faces`; for kind EE, u along i's edge and v along j's
+            edge, each from its smaller vertex.
+        point: (K, 3) float64: halfway between the nearest points at toi; for an edge through a face, where the edge
+            passes.
+        normal: (K, 3) float64, unit vector from i towards j at toi (for a body with itself, from the first feature
+            towards the second); zero if degenerate features coincide. For an edge through a face, the face's normal, on
+            the side of j's centre.
         status: (K,) int8, see `Status`: TOUCH or UNRESOLVED.
         stats: of the call.
         payload: columns of both bodies, (K, 2, ...) by name: see `distributed.World.step`; else empty.
@@ -433,8 +437,8 @@ class Contacts(ContactColumns, CountedRows):
     @property
     def differentiable(self) -> Tensor:
         """(K,) bool: contacts whose toi, coordinates, point and normal have derivatives, if an input of `detect`
-        required grad; if none did, False. False, with all derivatives zero, where features touch at t = 0, where they
-        graze (the gap closes at less than 1e-6 of the relative speed) and of unresolved contacts.
+        required grad; False if none did. False, with all derivatives zero, also for contacts at t = 0, for grazing
+        contacts (the gap closes at less than 1e-6 of the relative speed) and for unresolved ones.
 
         Example:
             >>> loss = hits.toi[hits.differentiable].sum()
@@ -442,12 +446,13 @@ class Contacts(ContactColumns, CountedRows):
         return torch.zeros_like(self.toi, dtype=torch.bool) if self._differentiable is None else self._differentiable
 
     def earliest(self, *ties: Tensor, by: Literal["scene", "world"] = "scene") -> Self:
-        """The contact with the smallest toi, of a trajectory the smallest time; or none if there are no contacts.
+        """The contact with the smallest toi, or for a trajectory with the smallest time; no rows if there are no
+        contacts.
 
         Args:
-            ties: (K,) each: of contacts of equal toi the one with the smallest value is taken, then the first row.
-            by: "scene"; or "world": one contact of each world that has any, in the order of worlds. Synchronises with a
-                GPU then.
+            ties: (K,) each: among contacts of equal toi, the one with the smallest value is taken, then the first row.
+            by: "scene"; or "world": one contact of each world that has any, in the order of worlds. "world"
+                synchronises with a GPU.
 
         Raises:
             TypeError, ValueError: `by` is unknown or needs a scene.

@@ -1,9 +1,9 @@
 """Derivatives of contacts, by expressions of torch on their rows.
 
-At a contact the gap g = n . (x_j - x_i) - d is zero, of the nearest points x of both features, the normal n and the
-separation d. By the envelope theorem coordinates and normal may be held fixed in the derivative of g, and so d toi =
--(dg / d input) / (dg / dt). The coordinates follow from the nearest points being nearest, and point and normal from
-these.
+At a contact the gap g = n . (x_j - x_i) - d is zero, with the nearest points x of both features, the normal n and the
+separation d. By the envelope theorem, coordinates and normal may be held fixed in the derivative of g, so d toi = -(dg
+/ d input) / (dg / dt). The derivatives of the coordinates follow from the condition that the points are nearest; those
+of point and normal follow from the coordinates.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ _PARALLEL = 1e-20
 @dataclass
 class Corners:
     """Corners c0, c1, c2 of both features of each contact at its toi. The point with coordinates (u, v) is c0 + u (c1 -
-    c0) + v (c2 - c0): of a vertex all corners are the same, of an edge of i (j) the third (second) one is the first.
+    c0) + v (c2 - c0). All corners of a vertex are the same. For an edge of i the third corner equals the first; for an
+    edge of j, the second corner does.
 
     Args:
         position: (K, 2, 3, 3), with gradients.

@@ -4,8 +4,8 @@ from typing import Final, Literal
 
 #: Features, as columns of `MeshSet.offsets`.
 VERTEX, FACE, EDGE = 0, 1, 2
-#: What `features` counts, by kind, of i and of j. Of INSIDE one is -1. Candidates have two such kinds, 5 for a vertex
-#: of i inside of j and 6 for one of j inside of i; the other feature is 0.
+#: What `features` counts, by kind, of i and of j. For INSIDE one is -1. Candidates have two such kinds: 5 for a vertex
+#: of i inside of j, and 6 for a vertex of j inside of i; the other feature is 0.
 FEATURES = (
     (VERTEX, FACE),
     (FACE, VERTEX),
@@ -36,7 +36,7 @@ class _NamedIntegers:
 
 
 class Kind(_NamedIntegers):
-    """Values of `kind`, plain integers: which features of a pair (i, j) touch. `features` lists that of i first.
+    """Values of `kind`, plain integers: which features of a pair (i, j) touch. `features` lists the feature of i first.
 
     Attributes:
         VF_AB: vertex of i, face of j.
@@ -47,7 +47,7 @@ class Kind(_NamedIntegers):
         INSIDE: a connected piece of one body that is inside of the other, a solid, at t = 0. `features` has a vertex of
             the piece for its body, and -1 for the solid.
 
-    Of a body with itself, i = j, there are VF_AB, EE with the smaller edge first, and EF_AB.
+    A body with itself, i = j, has the kinds VF_AB, EE with the smaller edge first, and EF_AB.
 
     Example:
         >>> edges = hits[hits.kind == pgccd.Kind.EE]

@@ -81,11 +81,12 @@ class PaddedContacts(ContactColumns, PaddedRows):
     The first `count` rows are contacts as in `Contacts`. The rest is padding: pairs and features -1, toi inf, status
     FREE, all else 0, so `toi.min()` needs no mask.
 
-    The result is incomplete if a capacity was exceeded or a pose is invalid. It then reads as contact at the start of
-    the step, whatever was found: toi is 0 in every row, padding included, and `first_toi` is 0 and `may_collide` True
-    for the scene, each world and each body. Only where rigid poses are invalid, and no pairs were given, worlds without
-    an invalid body keep their result in `first_toi` and `may_collide`. A loop that reads only these stands still until
-    the host has read the counts: by `trim` after `detect(capacity=...)`, two calls later with a `CapturedDetection`.
+    The result is incomplete if a capacity was exceeded or a pose is invalid. It then reads as a contact at the start of
+    the step, whatever was found: toi is 0 in every row, padding included, `first_toi` is 0, and `may_collide` is True
+    for the scene, each world and each body. There is one exception: if no capacity was exceeded, only rigid poses are
+    invalid and no pairs were given, worlds without an invalid body keep their `first_toi` and `may_collide`. A loop
+    that reads only these stands still until the host has read the counts: in `trim` after `detect(capacity=...)`, or
+    two calls later with a `CapturedDetection`.
 
     Attributes:
         pairs, toi, kind, features, coordinates, point, normal, status: as of `Contacts`, with padding.
@@ -96,7 +97,7 @@ class PaddedContacts(ContactColumns, PaddedRows):
         broad_phase: as in `Stats`.
     """
 
-    # The toi that were found, where those of an incomplete result are 0.
+    # The toi as found. In an incomplete result, `toi` is 0.
     _found_toi: Tensor | None = field(default=None, repr=False, compare=False)
 
     def first_toi(self, by: By = "scene") -> Tensor:
@@ -122,7 +123,7 @@ class PaddedContacts(ContactColumns, PaddedRows):
 @dataclass(eq=False, kw_only=True, repr=False)
 class PaddedCollidingPairs(PaddedRows):
     """Colliding pairs in a fixed number of rows, from `collide(capacity=...)`: the host has not synchronised yet.
-    Padding is -1. While the result is incomplete, `may_collide` is True, as of `PaddedContacts`.
+    Padding is -1. If the result is incomplete, `may_collide` is True, as for `PaddedContacts`.
 
     Attributes:
         pairs: (K, 2) int64, as of `CollidingPairs`, with padding.

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from pgccd import arguments
 
-#: Of a column its dtype and further sizes.
+#: The dtype and the further sizes of a column.
 Form = tuple[torch.dtype, tuple[int, ...]]
 
 
@@ -96,7 +96,8 @@ class Rows(Columns):
         """The rows of several results of the same bodies, one after the other. Statistics are added up.
 
         Raises:
-            TypeError, ValueError: naming the result: none is given, or it is not of this kind, or of other bodies.
+            TypeError, ValueError: no result is given; or, naming it, a result is not of this kind, or is of other
+                bodies.
 
         Example:
             >>> both = pgccd.Contacts.cat([hits[:1], hits[1:]])

@@ -49,8 +49,8 @@ class TrajectoryContacts(Contacts):
 
 
 def time_along(segment: Tensor, toi: Tensor, segments: int) -> Tensor:
-    """(K,) float64: times in [0, 1] along a trajectory of so many segments, from times within a segment: never later
-    than the exact ones, so both operations are corrected where they have rounded up.
+    """(K,) float64: times in [0, 1] along a trajectory of `segments` segments, from times within a segment. They are
+    never later than the exact times, so both operations are corrected where they have rounded up.
 
     The divisor is a tensor, because torch divides by a Python number on CUDA by multiplying with its reciprocal, which
     rounds differently.

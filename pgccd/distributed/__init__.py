@@ -1,7 +1,7 @@
 """Detection on many ranks: one process per GPU (or CPU core), on any number of machines.
 
-`World` distributes a scene over ranks; `connect` connects the ranks that were launched together.
-(`pgccd.sim.run(..., comm=comm)` runs the nanorobot simulation.) Results are bitwise equal for any number of ranks.
+`World` distributes a scene over ranks; `connect` connects the ranks that were launched together. (`pgccd.sim.run(...,
+comm=comm)` runs the nanorobot simulation.) Results are equal, bit by bit, for any number of ranks.
 """
 
 from pgccd.checkpoint.files import CheckpointError

@@ -6,11 +6,11 @@ import numpy as np
 
 from pgccd.geometry.elements import used
 
-# Two bodies of a mesh have a box if their boxes meet this much more rarely than their SBVs, in random poses.
+# A mesh has a box if, in random poses, the boxes of two such bodies meet this much more rarely than their SBVs.
 _FEWEST_SPHERES = 4.0
 # The first boxes tried are at most about this much larger than the best one.
 _ROUGHLY = 2.0
-# Turns of a box about each of its axes that are tried, within a quarter of a revolution.
+# Number of turns of a box that are tried about each of its axes, within a quarter of a revolution.
 _TURNS = 16
 # So many points choose the axes of a mesh well enough.
 _MANY = 1 << 14

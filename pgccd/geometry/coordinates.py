@@ -1,4 +1,6 @@
-"""Arrays that users give: coordinates and indices as NumPy arrays, and coordinates that float32 has rounded."""
+"""Arrays that users give: coordinates and indices as NumPy arrays, and warnings of coordinates that float32 has
+rounded.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,7 @@ from torch import Tensor
 
 from pgccd import arguments
 
-# A face whose edges are, or a body whose radius is, at most so many units in the last place of float32 is distorted.
+# A face is distorted if its edges, and a body if its radius, are at most so many units in the last place of float32.
 FEW_UNITS = 4
 
 
@@ -47,12 +49,12 @@ def is_float32(values: np.ndarray) -> bool:
 
 
 def warn_of_rounding(points: np.ndarray, faces: np.ndarray, source: str = "", stacklevel: int = 3) -> None:
-    """Warns of faces whose size is that of float32's rounding.
+    """Warns of faces that are as small as the rounding of float32.
 
     Args:
         points: (V, 3) finite, given in float32.
         faces: (F, 3); points are not looked at.
-        source: where they come from, in words: the start of the message. Default: an argument.
+        source: where the points come from, in words, at the start of the message. Default: an argument.
         stacklevel: see `warnings.warn`.
     """
     corners = points[faces[faces[:, 0] != faces[:, 1]]]

@@ -20,7 +20,7 @@ def elements(points: np.ndarray, faces: Rows | None, segments: Rows | None, sing
         faces, segments, single: as `faces`, `segments` and `points` of `pgccd.Mesh`.
 
     Raises:
-        TypeError, ValueError: naming the argument and its first offending row, or all are empty.
+        TypeError, ValueError: naming the argument and its first invalid row; or all are empty.
     """
     triangles = _rows(faces, "faces", 3)
     arguments.check_corners(points, triangles)
@@ -43,7 +43,7 @@ def checked(points: np.ndarray, table: np.ndarray) -> np.ndarray:
     """A table (F, 3) that may come from a file.
 
     Raises:
-        ValueError: a row names no vertex, or it is not in the order of `elements`.
+        ValueError: a row names no vertex, or the table is not in the order of `elements`.
     """
     arguments.check_corners(points, table)
     if len(table) == 0:
@@ -93,7 +93,7 @@ def centre(points: np.ndarray, table: np.ndarray) -> np.ndarray:
 
 
 def used(points: np.ndarray, table: np.ndarray) -> np.ndarray:
-    """Of points (V, 3) those that an element (F, 3) has."""
+    """The points (V, 3) that an element (F, 3) uses."""
     is_used = np.zeros(len(points), dtype=bool)
     is_used[table] = True
     return points if is_used.all() else points[is_used]

@@ -1,4 +1,4 @@
-"""What mesh files declare, compared with what they hold: readers drop rows that are missing or that they do not
+"""Compares what mesh files declare with what they hold. Readers drop rows that are missing or that they do not
 understand, and the surface would have holes.
 """
 

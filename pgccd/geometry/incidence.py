@@ -12,9 +12,9 @@ def incidence(vertices: Tensor, faces: Tensor, edges: Tensor, offsets: Tensor) -
     Returns:
         face_edges (F, 3) int64, edges of each face, from its first corner to the second, and so on, any edge between
         equal corners; int64 lists, as begin (n + 1,) and items, of the faces of vertices, the edges of vertices, and
-        the faces of edges, of which segments and points count their vertices and edge once; outward (meshes,) float64,
-        1 if the normals by the order of the corners point out of a closed mesh, -1 if they point into it, 0 if the mesh
-        is open or its faces are not all wound alike. And the longest list of a vertex or edge.
+        the faces of edges (segments and points count their vertices and edge once); outward (meshes,) float64, 1 if the
+        normals by the order of the corners point out of a closed mesh, -1 if they point into it, 0 if the mesh is open
+        or its faces are not all wound alike. And the longest list of a vertex or edge.
     """
     counts = offsets[1:] - offsets[:-1]
     first_vertex = offsets[:-1, 0]

@@ -43,32 +43,33 @@ class Mesh:
     """A mesh of triangles, segments and points with its sphere bounding volume (SBV) and hierarchy. A sphere is a point
     with a thickness, a capsule a segment with a thickness.
 
-    A pose maps the coordinates as given: a point v of the mesh is at position + R (v - origin). A pose's position is
-    that of the origin, and a rigid path rotates about it; unless the origin is "centroid", the path does not depend on
-    the tessellation.
+    A pose maps the coordinates that were given: a point v of the mesh is at position + R (v - origin). The position of
+    a pose is where the origin is, and a rigid path rotates about the origin. Unless the origin is "centroid", the path
+    does not depend on the tessellation.
 
-    Points are stored relative to the origin in float64. With the origin r SBV radii from the SBV centre their error is
-    about 300 r times 2^-53 radii, which the default tolerance of detection (1e-6 radii) covers up to r of about 1e6.
-    Beyond that no contact is missed, but bodies a few such errors apart are reported as touching.
+    Points are stored in float64, relative to the origin. If the origin is r SBV radii from the SBV centre, their error
+    is about 300 r times 2^-53 radii. The default tolerance of detection (1e-6 radii) covers this error up to r of about
+    1e6. Beyond that no contact is missed, but bodies a few such errors apart are reported as touching.
 
     Args:
-        vertices: (V, 3) array or tensor of finite numbers, in scene length units. Lists are float64. A UserWarning
-            names faces that float32 has distorted, far from the origin of the coordinates.
+        vertices: (V, 3) array or tensor of finite numbers, in scene length units. Lists become float64. A UserWarning
+            names faces so far from the origin of the coordinates that float32 has distorted them.
         faces: (T, 3) integers, three different rows of `vertices` per triangle. Meshes may be open, non-manifold or in
             several components, and triangles may have no area. Default: none.
-        origin: a point (3,) in the coordinates of `vertices`, for example a joint; "centroid", the SBV centre: the mean
-            of the corner coordinates over all triangles (Du, Liu & Suzumura 2017, Eq. 1), which depends on the
-            tessellation, or of a mesh without triangles the middle of its bounding box; or "center_of_mass", that of a
-            solid of uniform density. The surface must then be closed and consistently oriented (each edge shared by two
-            triangles in opposite directions).
+        origin: a point (3,) in the coordinates of `vertices`, for example a joint; or "centroid" or "center_of_mass".
+            "centroid" is the SBV centre: the mean of the corner coordinates over all triangles (Du, Liu & Suzumura
+            2017, Eq. 1), which depends on the tessellation; for a mesh without triangles, the middle of its bounding
+            box. "center_of_mass" is the centre of mass of a solid of uniform density. Its surface must be closed and
+            consistently oriented (each edge shared by two triangles in opposite directions).
         segments: (S, 2) integers, two different rows of `vertices` per segment. Default: none.
         points: (P,) integers, different rows of `vertices`. Default: none.
-        solid: whether the inside belongs to the body, so that a body that begins a step inside of it touches it
-            (`Kind.INSIDE`). True needs a closed and consistently oriented surface; "auto" is True for those that face
-            outwards, around a volume > 0. Inside are all points about which the surface winds, of several overlapping
-            shells too; a cavity, whose surface faces the other way, is outside. Default False: only the surface counts.
-        thickness: length >= 0, in the units of `vertices`: the surface is that of all points at most so far from the
-            triangles, segments and points. A scene adds it to the margin of each body with this mesh.
+        solid: whether the inside belongs to the body: a body that begins a step inside of it then touches it
+            (`Kind.INSIDE`). True needs a closed and consistently oriented surface. "auto" is True for such surfaces
+            that face outwards, around a volume > 0. A point is inside if the surface winds about it, also where several
+            shells overlap. A cavity, whose surface faces the other way, is outside. Default False: only the surface
+            counts.
+        thickness: length >= 0, in the units of `vertices`, by which triangles, segments and points are thickened on all
+            sides. A scene adds it to the margin of each body with this mesh.
 
     Attributes:
         origin: (3,) float64: the origin in the coordinates given.
@@ -86,21 +87,21 @@ class Mesh:
         edges: (E, 2) int32: each edge once, smaller vertex first, in lexicographic order. Edge indices of contacts
             refer to it.
         name: of the object in its file, or None.
-        unit: length unit of the coordinates in metres, if the file that they are from states one, or `unit` was given.
+        unit: length unit of the coordinates in metres, if their file states one or `unit` was given.
         welded_vertices: number of vertices of the file removed by welding.
-        dropped_faces: number of faces and segments of the file dropped because they repeat a vertex, and of points that
-            another stands for.
+        dropped_faces: number of faces and segments of the file dropped because they repeat a vertex, and of points
+            dropped because the file lists their vertex already.
         source_vertex: (V,) int64: row in the file of each vertex, the first of those welded; None for a mesh not from a
             file.
-        source_face: (F,) int64: row in the file of each face; of a file without triangles among its segments, then its
-            points. None for a mesh not from a file.
+        source_face: (F,) int64: row in the file of each face. In a file without triangles, rows count its segments,
+            then its points. None for a mesh not from a file.
 
     Raises:
-        ValueError: naming the first offending vertex, face, segment or point, the mesh has none of these or an SBV
-            radius outside of [1e-30, 1e30]; the origin is not a finite point, too far away, or undefined because the
-            surface bounds no solid; or `solid` is True, and an edge is not shared by two faces in opposite directions;
-            `thickness` is no length.
-        TypeError: `solid` is neither a bool nor "auto", or `thickness` no number.
+        ValueError: a vertex, face, segment or point is invalid (the first one is named); the mesh has none of these, or
+            an SBV radius outside of [1e-30, 1e30]; the origin is not a finite point, is too far away, or is undefined
+            because the surface bounds no solid; `solid` is True, but an edge is not shared by two faces in opposite
+            directions; or `thickness` is no length.
+        TypeError: `solid` is neither a bool nor "auto", or `thickness` is no number.
 
     Example:
         >>> corners = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]
@@ -165,8 +166,8 @@ class Mesh:
             )
         if float(np.abs(offset).max()) > _FURTHEST_ORIGIN * radius and not is_one_place:
             raise ValueError(
-                f"origin: it must lie within {_FURTHEST_ORIGIN:g} SBV radii of the SBV centre {centre.tolist()}, of "
-                f'which one is {radius:g}, but it is {reference.tolist()}; origin="centroid" puts it there'
+                f"origin: expected a point within {_FURTHEST_ORIGIN:g} SBV radii (each {radius:g}) of the SBV centre "
+                f'{centre.tolist()}, which is origin="centroid"; got {reference.tolist()}'
             )
         self.faces = torch.from_numpy(table.astype(np.int32))
         prepared = ops.prepare_mesh(torch.from_numpy(np.ascontiguousarray(local)), self.faces, LEAF_SIZE)
@@ -203,7 +204,7 @@ class Mesh:
             origin, solid: as for the constructor.
 
         Raises:
-            TypeError, ValueError: they are not three such lengths.
+            TypeError, ValueError: `extents` are not three lengths > 0.
 
         Example:
             >>> pgccd.Mesh.box([2.0, 1.0, 1.0]).faces.shape
@@ -270,7 +271,7 @@ class Mesh:
 
     @classmethod
     def sphere(cls, radius: float, origin: Origin = (0.0, 0.0, 0.0)) -> Mesh:
-        """A sphere around the origin, exact: a point with a thickness. A polyhedron is made by `icosphere`.
+        """An exact sphere around the origin: a point with a thickness. `icosphere` makes a polyhedron.
 
         Args:
             radius: of the sphere, > 0, in scene length units.
@@ -287,7 +288,7 @@ class Mesh:
 
     @classmethod
     def capsule(cls, radius: float, length: float, origin: Origin = (0.0, 0.0, 0.0)) -> Mesh:
-        """A capsule along the z axis, centred on the origin, exact: a segment with a thickness.
+        """An exact capsule along the z axis, centred on the origin: a segment with a thickness.
 
         Args:
             radius: of its ends, > 0, in scene length units.
@@ -308,9 +309,9 @@ class Mesh:
     def icosphere(
         cls, radius: float, subdivisions: int = 3, origin: Origin = (0.0, 0.0, 0.0), *, solid: Solid = False
     ) -> Mesh:
-        """A polyhedron with its vertices on a sphere around the origin: an icosahedron, each of its faces divided into
-        four `subdivisions` times, 20 x 4^subdivisions faces. It lies within the sphere: at 3 subdivisions face centres
-        lie 0.5 % of the radius below it.
+        """A polyhedron of 20 x 4^subdivisions faces with its vertices on a sphere around the origin: each face of an
+        icosahedron is divided into four, `subdivisions` times. It lies within the sphere: with 3 subdivisions, face
+        centres are 0.5 % of the radius below the sphere.
 
         Args:
             radius: of the sphere, > 0, in scene length units.
@@ -358,21 +359,22 @@ class Mesh:
     def from_trimesh(
         cls, mesh: Any, origin: Origin = (0.0, 0.0, 0.0), *, weld: bool = True, solid: Solid = False
     ) -> Mesh:
-        """From a `trimesh.Trimesh`, `trimesh.PointCloud` (points) or `trimesh.path.Path3D` (segments), or from a
-        `trimesh.Scene` of meshes, or of the others (they are transformed to the scene's frame and joined).
+        """A mesh from a `trimesh.Trimesh`, a `trimesh.PointCloud` (points), a `trimesh.path.Path3D` (segments), or a
+        `trimesh.Scene` either of meshes or of points and segments. The objects of a scene are transformed to its frame
+        and joined.
 
         Args:
             mesh: the trimesh object.
             origin, solid: as for the constructor.
-            weld: merge vertices at the same position. Files duplicate vertices along seams of textures or normals;
-                unwelded, a deforming mesh would separate there and collide with itself. Contacts index the welded mesh;
-                `source_vertex` and `source_face` map to the mesh given.
+            weld: merge vertices at the same position. Files duplicate vertices along seams of textures or normals.
+                Unless they are merged, a deforming mesh separates there and collides with itself. Contacts index the
+                welded mesh; `source_vertex` and `source_face` map to the mesh given.
 
-        Faces and segments that repeat a vertex, possibly after welding, are dropped; so is a point at one kept already.
+        Faces and segments that repeat a vertex, possibly after welding, are dropped, as are points that repeat a point.
 
         Raises:
-            TypeError, ValueError: it contains nothing, arcs, something else, or points or lines beside meshes; or as
-                for the constructor.
+            TypeError, ValueError: `mesh` is empty, or contains arcs, objects of another type, or points or lines beside
+                meshes; or as for the constructor.
 
         Example:
             >>> robot = pgccd.Mesh.from_trimesh(trimesh.creation.icosphere(subdivisions=3))
@@ -390,27 +392,27 @@ class Mesh:
         unit: Unit | None = None,
         solid: Solid = False,
     ) -> Mesh:
-        """From any mesh file that trimesh loads (ply, stl, obj, off, glb, dae, ...), or a binary mesh of MuJoCo (msh);
-        all meshes in it are joined. Polygons are divided in triangles within their outlines (those of Collada files
-        must be convex). Coordinates are those of the file, axes included: the up axis that Collada and glTF files state
-        turns nothing, as in tools for URDF. **Lines and points beside triangles, which exporters add, are left out.**
-        Files without triangles give segments and points: lines (l) and points (p) of OBJ files, edges of PLY files, and
-        without edges all of their vertices; point clouds of other files.
+        """A mesh from any mesh file that trimesh loads (ply, stl, obj, off, glb, dae, ...), or from a binary mesh of
+        MuJoCo (msh). All meshes in the file are joined. Polygons are divided into triangles within their outlines
+        (polygons of Collada files must be convex). Coordinates and axes are those of the file: the up axis that Collada
+        and glTF files state turns nothing, as in tools for URDF. **Lines and points beside triangles, which exporters
+        add, are left out.** Files without triangles give segments and points: OBJ files their lines (l) and points (p),
+        PLY files their edges, or all of their vertices if they have no edges, and other files their point clouds.
 
         Args:
             path: of the file.
             origin: as for the constructor, in units of the result.
             weld: as for `from_trimesh`.
-            unit: converts lengths to "m", "cm", "mm", "in" or "ft", if the file states its unit (Collada, 3MF, glTF);
-                other files are taken to be in this unit. Default: the numbers of the file. `mesh.unit` says what they
-                are.
+            unit: of the result: "m", "cm", "mm", "in" or "ft". Lengths are converted if the file states its unit
+                (Collada, 3MF, glTF); other files are taken to be in `unit`. Default: the numbers of the file, whose
+                unit is `mesh.unit`.
             solid: as for the constructor.
 
         Raises:
             FileNotFoundError, IsADirectoryError: no such file.
-            ValueError: the file is empty, cannot be read as a mesh, holds less than it declares (a truncated STL, PLY
-                or OFF file), or contains no triangles, segments and points (such as an OBJ file of vertices alone),
-                something else, lines of glTF, or an object that is a point cloud beside others of triangles.
+            ValueError: the file is empty, cannot be read as a mesh, or holds less than it declares (a truncated STL,
+                PLY or OFF file); or it contains no triangles, segments or points (such as an OBJ file of vertices
+                alone), objects of another type, lines of glTF, or a point cloud beside objects of triangles.
             ImportError: trimesh, or a package that it needs for this kind of file, is not installed.
 
         Example:
@@ -484,7 +486,7 @@ class Mesh:
         return mesh
 
     def as_solid(self, solid: Solid = True) -> Mesh:
-        """This mesh as a solid, or as a surface only; they share all else.
+        """This mesh as a solid, or as a surface only. All else is shared.
 
         Args:
             solid: as for the constructor.
@@ -501,7 +503,7 @@ class Mesh:
         return other
 
     def thickened(self, thickness: float) -> Mesh:
-        """This mesh with a thickness, in place of its own; they share all else.
+        """This mesh with another thickness. All else is shared.
 
         Args:
             thickness: as for the constructor.

@@ -23,7 +23,7 @@ _METRES = {
     **{"meters": 1.0, "meter": 1.0, "micron": 1e-6, "millimeter": 1e-3, "millimeters": 1e-3, "centimeter": 1e-2},
     **{"inch": 0.0254, "foot": 0.3048},
 }
-#: Those that lengths are converted to.
+#: Units that lengths are converted to.
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254, "ft": 0.3048}
 
 
@@ -64,7 +64,7 @@ def check_unit(unit: str | None) -> None:
 
 
 def conversion(path: str | PathLike[str], loaded: Any, unit: str | None) -> tuple[float, float | None]:
-    """By what lengths of a loaded file are multiplied, and the unit of the result in metres, if it is known.
+    """The factor for lengths of a loaded file, and the unit of the result in metres, if it is known.
 
     Raises:
         ValueError: the file states an unknown unit.
@@ -111,7 +111,7 @@ def load_geometry(path: str | PathLike[str], apart: bool = False) -> Any:
             raise ValueError("lines of a glTF file, which cannot be read")  # trimesh joins those that are apart
         read = sum(len(getattr(each, "faces", ())) for _, each, _ in parts)
         if declared is not None and read < declared:
-            raise ValueError(f"of its {declared} triangles trimesh reads {read}")
+            raise ValueError(f"trimesh reads {read} of its {declared} triangles")
     except Exception as error:
         if package := _missing_package(error):
             raise ImportError(f"path: {path} cannot be read without {package}: pip install {package}") from error
@@ -172,7 +172,7 @@ def unit_of(path: Path, loaded: Any) -> float | None:
 
 
 def _missing_package(error: Exception) -> str | None:
-    """The optional package that trimesh asks for, if that is what the error says."""
+    """The optional package that trimesh asks for, if the error says that one is missing."""
     found = re.search(r"No module named '(\w+)|pip install ([\w-]+)", str(error))
     name = None if found is None else found[1] or found[2]
     return None if name is None else name.replace("_", "-")

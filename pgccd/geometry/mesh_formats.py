@@ -1,4 +1,4 @@
-"""Mesh files that trimesh does not read, or not as a whole."""
+"""Mesh files that trimesh does not read, or reads only in part."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-# What a Collada file says of looks, beside the bindings of materials to geometries.
+# Elements of a Collada file about looks, in addition to the bindings of materials to geometries.
 _LOOKS = ("library_images", "library_effects", "library_materials")
 
 
@@ -79,8 +79,8 @@ _INDEX_TYPES = {5121: "<u1", 5123: "<u2", 5125: "<u4"}
 
 
 def gltf_of_triangles(path: Path) -> bytes | None:
-    """A glTF file as GLB in which strips and fans are triangles, and points and lines of meshes that have triangles are
-    left out, which draw the edges of these. None if it has none of them.
+    """A glTF file as GLB, with strips and fans as triangles, and without the points and lines of meshes that have
+    triangles, which only draw their edges. None if the file has none of these.
 
     Raises:
         ValueError, OSError: a buffer is missing.

@@ -130,7 +130,7 @@ class MeshSet:
         """A copy on another device.
 
         Raises:
-            TypeError, ValueError: it is not a device.
+            TypeError, ValueError: `device` is not a device.
 
         Example:
             >>> meshes = meshes.to("cpu")

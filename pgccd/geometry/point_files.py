@@ -1,4 +1,4 @@
-"""OBJ and PLY files without faces: their segments and points, of which other readers keep the vertices alone."""
+"""Segments and points of OBJ and PLY files without faces. Other readers keep only the vertices."""
 
 from __future__ import annotations
 

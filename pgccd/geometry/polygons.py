@@ -1,5 +1,5 @@
-"""Polygons of mesh files as triangles within their outlines: readers join the corners of each with its first one, which
-fills the notches of those that are not convex.
+"""Polygons of mesh files as triangles within their outlines. Readers join the corners of each polygon with its first
+corner, which fills the notches of polygons that are not convex.
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ def is_convex(corners: np.ndarray, error: float = 0.0) -> bool:
 
     Args:
         corners: of the polygon.
-        error: of their coordinates: a corner between two edges in one line may be as far beside it.
+        error: of their coordinates: a corner between two edges in one line may be this far beside the line.
     """
     if len(corners) <= 3:
         return True

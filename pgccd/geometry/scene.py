@@ -34,9 +34,9 @@ OPTIONAL_COLUMNS = (*FILTERS, "margin")
 
 @dataclass
 class Derived:
-    """A value derived from a column, with what is needed to see that the column has changed: on a CPU a copy of it,
-    since memory shared with NumPy may be written without torch; on a GPU, which must not be waited for, torch's counter
-    of writes.
+    """A value derived from a column, and what shows whether the column has changed since. On a CPU that is a copy of
+    the column, because NumPy may write to shared memory without torch's knowledge. On a GPU it is torch's counter of
+    writes, which is read without waiting.
     """
 
     column: Tensor
@@ -48,7 +48,7 @@ class Derived:
             self.seen = self.column.clone() if self.column.device.type == "cpu" else _version(self.column)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Writes to a copy of the column are counted anew, so that whether it has changed must be asked now."""
+        """The copy of the column starts a new counter of writes, so the state says whether the value is current."""
         return {"column": self.column, "value": self.value, "is_current": self.is_of(self.column)}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -67,8 +67,8 @@ class Derived:
 
 
 class _Fixed(Derived):
-    """Of a column that is never written to: writes to tensors made in inference mode, which torch does not count, are
-    not seen.
+    """For a column that is never written to. torch does not count writes to tensors made in inference mode, so such
+    writes are not seen.
     """
 
     def is_of(self, column: Tensor) -> bool:
@@ -95,29 +95,29 @@ class VertexLayout:
 class Scene:
     """N bodies, each an instance of one of a few meshes. Positions are not part of it: see `pgccd.motion.paths`.
 
-    A pair of bodies is tested if both are in the same `world`, at least one is not `static`, each one's `group` has a
-    bit in common with the other's `mask`, and it is not in `exclude`.
+    A pair of bodies is tested if both are in the same `world`, at least one is not `static`, the `group` of each has a
+    bit in common with the `mask` of the other, and the pair is not in `exclude`.
 
     Args:
         meshes: the meshes, or a `MeshSet` already on `device`.
         mesh_index: (N,) integers: mesh of each body. Default: one body per mesh.
-        device: of all tensors; default the MeshSet's, else mesh_index's if it is a tensor, else the CPU.
-        group, mask: (N,) int64 bit sets; default all bits.
-        world: (N,) integers; default all in one.
-        static: (N,) bool; default none.
+        device: of all tensors. Default: the device of the MeshSet, else of `mesh_index` if it is a tensor, else the
+            CPU.
+        group, mask: (N,) int64 bit sets. Default: all bits.
+        world: (N,) integers. Default: all bodies in one world.
+        static: (N,) bool. Default: no body is static.
         self_collision: bool, or (N,) bool: which bodies are also tested against themselves, as pairs (i, i), while they
-            deform (`VertexMotion`); default none. Feature pairs that share a vertex are not tested. group, mask and
+            deform (`VertexMotion`). Default: none. Feature pairs that share a vertex are not tested. group, mask and
             world do not affect these tests; static bodies are not tested.
-        margin: thickness of bodies, a number or (N,), scene length units, from 0 to 1e150: a pair is tested with the
-            separation min_separation + margin_i + margin_j, and a body against itself with min_separation + 2 margin_i.
-            It is added to the thickness of the body's mesh.
-            Default none. If a body's true path never deviates from the tested one by more than its margin, no contact
-            of the true path is missed.
+        margin: thickness of bodies, a number or (N,), scene length units, from 0 to 1e150, added to the thickness of
+            the body's mesh. A pair is tested with the separation min_separation + margin_i + margin_j, and a body
+            against itself with min_separation + 2 margin_i. Default: none. If a body's true path never deviates from
+            the tested one by more than its margin, no contact of the true path is missed.
         exclude: (E, 2) integers: pairs of bodies that are never tested, such as links joined by a joint; in any order.
-            Default none.
+            Default: none.
 
     `mesh_index`, `group`, `mask`, `world`, `static` and `margin` may be written to, or replaced by tensors of the same
-    dtype, shape and device; their values are validated at each use, as the poses of a motion are. `self_collision` and
+    dtype, shape and device. Their values are checked at each use, like the poses of a motion. `self_collision` and
     `exclude` are fixed. A margin given as a Python number or list is float64; a float64 tensor or array is shared, not
     copied.
 
@@ -218,7 +218,7 @@ class Scene:
         if not column.is_contiguous():
             raise ValueError(f"{name}: expected a contiguous tensor")
 
-    #: Whether a user made the scene, who is warned of what it does not test.
+    #: Whether a user made the scene. Only users are warned of what a scene does not test.
     _is_of_user: bool = True
 
     # Capacity estimates by kind of step, managed by `pgccd.search.memory`. They change how often a step is repeated
@@ -279,7 +279,8 @@ class Scene:
     _world_count: Derived | None = None
     # `self_collision`, which `_self_colliding` follows, and `exclude`, as given by a user.
     _fixed: Mapping[str, _Fixed] = {}
-    # The number of bodies after which `exclude` repeats, in a scene of several copies. Default: that of all bodies.
+    # The number of bodies after which `exclude` repeats, in a scene of several copies. Default: the number of all
+    # bodies.
     _exclude_period: int | None = None
 
     def _remember(self) -> None:
@@ -308,8 +309,8 @@ class Scene:
 
     @property
     def _size(self) -> Tensor:
-        """(N,) float64, of which default tolerances are a part: the SBV radius; of points at one place, such as a
-        sphere, the margin.
+        """(N,) float64: the length that the default tolerance is a fraction of: the SBV radius; for points at one
+        place, such as a sphere, the thickness and margin.
         """
         radius, thickness = self.radius, self._thickness
         is_point = (radius >= 0.0) & (radius <= SMALLEST_RADIUS)
@@ -321,7 +322,7 @@ class Scene:
 
     @property
     def _sound_index(self) -> Tensor:
-        """`mesh_index`, with numbers out of range, which checks report, replaced by others."""
+        """`mesh_index`, with numbers out of range replaced by valid ones. Checks report such numbers."""
         return self.mesh_index.clamp(0, len(self.meshes) - 1)
 
     @property
@@ -413,7 +414,7 @@ class Scene:
 
     @classmethod
     def from_state_dict(cls, state: dict[str, Any], device: torch.device | str = "cpu") -> Scene:
-        """The scene of a `state_dict`: its detections are equal, bit by bit.
+        """The scene of a `state_dict`. It has the same detections as the original, bit by bit.
 
         Args:
             state: from `state_dict`.
@@ -438,7 +439,7 @@ class Scene:
         """A copy on another device, meshes included.
 
         Raises:
-            TypeError, ValueError: it is not a device, or a column that is fixed was written to.
+            TypeError, ValueError: `device` is not a device, or a fixed column was written to.
 
         Example:
             >>> scene = scene.to("cpu")

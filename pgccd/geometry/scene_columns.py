@@ -127,7 +127,7 @@ def self_column(values: Tensor | Sequence[bool] | bool, count: int, device: torc
 
 
 def sum_of_margins(own: Tensor, of_scene: Tensor | None) -> Tensor:
-    """(N,): margins (N,) and those of the scene, if any; sums are rounded up."""
+    """(N,): sums of margins (N,) and of those of the scene, if any, rounded up."""
     if of_scene is None:
         return own.contiguous()
     total = own + of_scene

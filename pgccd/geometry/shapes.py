@@ -80,7 +80,7 @@ def size(value: Any, name: str) -> float:
     """A length > 0.
 
     Raises:
-        TypeError, ValueError: it is none.
+        TypeError, ValueError: it is no such length.
     """
     length = arguments.number(value, name, _SIZE)
     if not 0.0 < length < np.inf:

@@ -1,4 +1,4 @@
-"""Paths as expressions of torch, for gradients: values are those of the operators, derivatives those of expressions."""
+"""Paths as expressions of torch, for gradients. Values come from the operators, derivatives from the expressions."""
 
 from typing import Any
 
@@ -20,7 +20,7 @@ class _Valued(torch.autograd.Function):
     def backward(ctx: Any, gradient: Tensor) -> Any:
         if torch.is_grad_enabled():
             raise NotImplementedError(
-                f"{ctx.name}: has first derivatives only, but second ones are asked for (create_graph=True)"
+                f"{ctx.name}: has first derivatives only, but second derivatives were requested (create_graph=True)"
             )
         return None, gradient, None
 
@@ -52,7 +52,7 @@ def rows_of(values: Tensor, index: Tensor) -> Tensor:
 
 
 def sum_by_row(terms: Tensor, row: Tensor, count: int) -> Tensor:
-    """(count, ...): for each row the sum of the terms (M, ...) that are of it, by `row` (M,), in their order."""
+    """(count, ...): for each row the sum of the terms (M, ...) that belong to it, by `row` (M,), in their order."""
     if terms.device.type == "cpu":  # one after the other
         return terms.new_zeros((count, *terms.shape[1:])).index_add_(0, row, terms)
     return sum_sorted(terms, row, count)  # there, index_add_ adds in any order
@@ -114,7 +114,7 @@ def rotation_between(orientation_t0: Tensor, orientation_t1: Tensor) -> Tensor:
     square = (vector * vector).sum(-1, keepdim=True)
     is_small = square < _SMALL_SQUARE
     sine = torch.where(is_small, 1.0, square).sqrt()
-    # A half turn has the cosine 0: no term may be infinite, even one that is not chosen.
+    # A half turn has the cosine 0. No term may be infinite, even one that is not chosen.
     long = torch.where(is_small, cosine, 1.0)
     factor = torch.where(
         is_small, (2.0 - 2.0 * square / (3.0 * long * long)) / long, 2.0 * torch.atan2(sine, cosine) / sine

@@ -1,4 +1,4 @@
-"""The columns of a motion: checked when they are given, their values wherever they are read."""
+"""The columns of a motion: types and shapes are checked when columns are given, values wherever they are read."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
@@ -15,8 +15,8 @@ _Self = TypeVar("_Self", bound="MovingColumns")
 
 
 class MovingColumns:
-    """Base of rigid and deforming motions: named float64 columns of equal length on one device. They may be replaced by
-    others of the same shape and device, and written; operators check the values that they read.
+    """Base of rigid and deforming motions: named float64 columns of equal length on one device. They may be written to,
+    or replaced by others of the same shape and device. Operators check the values that they read.
     """
 
     # Names of the columns that detection reads, and the meaning of a row.
@@ -24,10 +24,10 @@ class MovingColumns:
     _row = "body"
     #: `checks` and `limits` of these columns, for `ops.first_invalid_rows`.
     _checks: tuple[list[int], list[float]] = ([], [])
-    # For a column, the argument that it is computed from; and such arguments, which errors name first.
+    # For a column, the argument that it is computed from; and those arguments, which errors name first.
     _sources: Mapping[str, str] = {}
     _given: Mapping[str, Tensor] = {}
-    # What a `state_dict` has besides the columns.
+    # What a `state_dict` has in addition to the columns.
     _options: tuple[str, ...] = ()
     # Whether a position was given in float32, which may have rounded it.
     _is_of_float32 = False
@@ -42,7 +42,7 @@ class MovingColumns:
 
     @classmethod
     def _made_of(cls: type[_Self], **attributes: Any) -> _Self:
-        """From columns that have been checked, or taken from other motions."""
+        """From columns that have been checked, or come from other motions."""
         motion = cls.__new__(cls)
         for name, value in attributes.items():
             object.__setattr__(motion, name, value)
@@ -148,7 +148,7 @@ class MovingColumns:
         return cls(**columns)
 
     def _check_early(self: _Self, origins: Mapping[str, Tensor] | None = None) -> _Self:
-        """The motion, of which values are checked now on a CPU; a GPU is not waited for.
+        """The motion, with its values checked now on a CPU; a GPU is not waited for.
 
         Args:
             origins: arguments from which columns are computed; errors name these first.

@@ -1,4 +1,4 @@
-"""Motions of the bodies of a scene: checks that they are, and the segments of a trajectory as one step."""
+"""Motions of the bodies of a scene: checks that a motion fits a scene, and the segments of a trajectory as one step."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def check_scene(scene: Scene) -> None:
 
 
 def check_bodies(scene: Scene, motion: RigidMotion | VertexMotion) -> None:
-    """Raises ValueError if a motion is on another device, or is that of another number of bodies."""
+    """Raises ValueError if a motion is on another device, or has another number of bodies."""
     if scene.device != motion.device:
         raise ValueError(f"motion: is on {motion.device}, the scene on {scene.device}")
     if isinstance(motion, RigidMotion):
@@ -59,7 +59,7 @@ def check_step(scene: Scene, motion: RigidMotion | VertexMotion) -> None:
 
 
 def check_trajectory(scene: Scene, trajectory: Trajectory) -> None:
-    """Raises ValueError if a trajectory is on another device, or is that of another number of bodies."""
+    """Raises ValueError if a trajectory is on another device, or has another number of bodies."""
     if scene.device != trajectory.device:
         raise ValueError(f"motion: is on {trajectory.device}, the scene on {scene.device}")
     rows, expected, what = trajectory.position.shape[1], scene.body_count, "bodies"
@@ -88,13 +88,13 @@ def segments_as_step(
 
 
 def in_scene(pairs: Tensor, count: int) -> tuple[Tensor, Tensor]:
-    """Of pairs (K, 2) of the copies of `count` bodies the segment (K,) and the pair (K, 2) of the scene."""
+    """The segments (K,), and the pairs (K, 2) in the scene, of pairs (K, 2) of the copies of `count` bodies."""
     segment = torch.div(pairs[:, 0], max(1, count), rounding_mode="floor")
     return segment, pairs - segment[:, None] * count
 
 
 def repeated(scene: Scene, times: int) -> Scene:
-    """A scene with `times` copies of each body, each copy in worlds of its own."""
+    """A scene with `times` copies of all bodies, each copy in worlds of its own."""
     if scene.body_count * times >= _MOST_ROWS or scene.world_count * times >= _MOST_ROWS:
         raise ValueError(
             f"motion: {times} segments of {scene.body_count} bodies in {scene.world_count} worlds are too many for one "

@@ -26,9 +26,9 @@ class RigidMotion(MovingColumns):
     """Rigid bodies: the mesh's origin moves on a straight line, and the body rotates about it at a constant rate.
 
     A point v of the mesh (in the coordinates given to `Mesh`) is at x(t) = position(t) + R(t) (v - origin), with R(t) =
-    exp(t [w]x) R0 and the world-frame rotation vector w = log(R1 R0^T), the shorter way (at exactly half a turn, about
-    the vector part of q1 * conj(q0); within some 1e-15 rad of half a turn rounding decides the direction, so use
-    `from_rotation` there). With `path="linear"` every vertex moves on the straight line between its two end positions
+    exp(t [w]x) R0. The world-frame rotation vector w = log(R1 R0^T) turns the shorter way; at exactly half a turn,
+    about the vector part of q1 * conj(q0). Within some 1e-15 rad of half a turn rounding decides the direction: use
+    `from_rotation` there. With `path="linear"` every vertex moves on the straight line between its two end positions
     instead (the two vertex streams of Du, Liu & Suzumura 2017).
 
     Args:
@@ -86,7 +86,7 @@ class RigidMotion(MovingColumns):
             rotation = with_gradient_of(value, expression, "rotation")
         else:
             rotation = ops.rotations_between(orientation_t0, orientation_t1)
-        # Of an orientation that is invalid the rotation is NaN.
+        # An invalid orientation makes the rotation NaN.
         given = {"orientation_t1": orientation_t1}
         start |= {"rotation": rotation, "_sources": {"rotation": "orientation_t1"}}
         if orientation_t1.device.type != "cpu":
@@ -172,7 +172,7 @@ class RigidMotion(MovingColumns):
         rotation: Tensor,
         path: PathKind = "rigid",
     ) -> RigidMotion:
-        """From positions and rotation vectors. With rows of another motion, the paths are bitwise equal.
+        """From positions and rotation vectors. Rows of another motion give the same paths, bit by bit.
 
         Args:
             position_t0, position_t1: (N, 3), as for the constructor.
@@ -200,7 +200,7 @@ class RigidMotion(MovingColumns):
         rotation: Tensor,
         path: PathKind = "rigid",
     ) -> RigidMotion:
-        """As `from_rotation`, from columns of a validated motion: they are checked where they are read alone.
+        """As `from_rotation`, from columns of a validated motion. They are checked only where they are read.
 
         Example:
             >>> part = pgccd.RigidMotion._of_checked(
@@ -260,9 +260,9 @@ class RigidMotion(MovingColumns):
         )
 
     def shortened(self, fraction: Tensor | float) -> RigidMotion:
-        """The motion along the first part of each path, x(fraction t), in the same step: position_t1 is rounded to
-        float64, the rotation vector is fraction times that of the step. Of fraction 1 the path keeps its bits, and at
-        fraction 0 the body is at rest, even if the end of the path is invalid. With path="linear" vertices move
+        """The motion along the first part of each path, x(fraction t), over the same step. position_t1 is rounded to
+        float64, and the rotation vector is multiplied by the fraction. With fraction 1 a path keeps its bits. With
+        fraction 0 the body is at rest, even if the end of its path is invalid. With path="linear" vertices move
         straight to the pose at that fraction of the arc.
 
         Args:
@@ -327,7 +327,7 @@ class VertexMotion(MovingColumns):
 
     @classmethod
     def _of_checked(cls, x_t0: Tensor, x_t1: Tensor) -> VertexMotion:
-        """From columns of a validated motion: they are checked where they are read alone.
+        """From columns of a validated motion. They are checked only where they are read.
 
         Example:
             >>> part = pgccd.VertexMotion._of_checked(cloth_t0[:8], cloth_t1[:8])
@@ -348,12 +348,12 @@ class VertexMotion(MovingColumns):
         return (1.0 - time) * self.x_t0 + time * self.x_t1
 
     def shortened(self, fraction: Tensor | float) -> VertexMotion:
-        """The motion along the first part of each path, x(fraction t), in the same step: x_t1 is rounded to float64. Of
-        fraction 1 the path keeps its bits, and at fraction 0 the vertex is at rest, even if x_t1 is invalid.
+        """The motion along the first part of each path, x(fraction t), over the same step. x_t1 is rounded to float64.
+        With fraction 1 a path keeps its bits. With fraction 0 the vertex is at rest, even if x_t1 is invalid.
 
         Args:
-            fraction: in [0, 1], a number or one per vertex (X,). Equal ones for all vertices of a body keep its shape
-                that of the path.
+            fraction: in [0, 1], a number or one per vertex (X,). With equal fractions for all its vertices, a body
+                takes the shapes that it has on its path.
 
         Raises:
             ValueError: `fraction` has the wrong shape or is outside of [0, 1].

@@ -10,7 +10,7 @@ from pgccd.motion.validation import Validation, columns_checked, first_invalid_r
 
 def integrate_orientation(orientation: Tensor, rotation: Tensor) -> Tensor:
     """Rotated orientations, exp(rotation) orientation / |orientation|, by the same arithmetic as detection. Bits are
-    equal on all devices. Lengths do not drift over many steps, since each starts from a normalised orientation.
+    equal on all devices. Lengths do not drift over many steps, because each step starts from a normalised orientation.
 
     Args:
         orientation: (N, 4) float32 or float64 unit quaternions (w, x, y, z), body to world.
@@ -36,7 +36,7 @@ def integrate_orientation(orientation: Tensor, rotation: Tensor) -> Tensor:
 
 
 def rotated(orientation: Tensor, rotation: Tensor) -> Tensor:
-    """As `integrate_orientation`, of float64 rows, without checks; NaN where a row is invalid."""
+    """As `integrate_orientation`, for float64 rows, without checks; NaN where a row is invalid."""
     nowhere, end = torch.zeros_like(rotation).contiguous(), torch.ones_like(rotation[:, 0])
     _, turned = ops.poses_at(nowhere, nowhere, orientation.contiguous(), rotation.contiguous(), end)
     return turned

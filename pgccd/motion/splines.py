@@ -16,10 +16,10 @@ MOST_DEGREE = 16
 # Rounding of a conversion to control points, in units of the largest sum of magnitudes: fewer than 64 operations, each
 # with an error of half a unit in the last place.
 _CONVERSION = 2.0**-47
-# Rounding of values and of second differences, in units of the square of the degree and the largest number; and of sums
-# of such bounds.
+# Rounding of values and of second differences, in units of the square of the degree times the largest number; and of
+# sums of such bounds.
 _VALUES, _UP = 2.0**-50, 1.0 + 2.0**-40
-# Polynomials may differ by so much at a breakpoint, in units of the largest value: what float32 leaves.
+# How much polynomials may differ at a breakpoint, in units of the largest value: the rounding of float32.
 _JUMP = 1e-6
 
 
@@ -28,7 +28,7 @@ class Spline:
 
     Args:
         control: (S degree + 1, ...) control points of S segments, in the Bernstein basis (Bezier curves): those of
-            segment k are rows k degree to (k + 1) degree, so that consecutive segments share one.
+            segment k are rows k degree to (k + 1) degree, and consecutive segments share a row.
         degree: of the polynomials, from 1 to 16.
         times: (S + 1,) increasing breakpoints, time units. Default: 0 to S.
 
@@ -36,7 +36,8 @@ class Spline:
         control: float64.
         degree: as given.
         times: (S + 1,) float64, on a CPU.
-        error: the curves that were given are within this of those of the control points: what conversion has rounded.
+        error: bound of the difference between the given curves and those of the control points, by rounding of a
+            conversion.
 
     Raises:
         TypeError, ValueError: naming the argument.
@@ -174,7 +175,7 @@ class Spline:
         return torch.cat([own, self.control[self.degree :: self.degree, None]], dim=1)
 
     def at(self, time: Tensor | Sequence[float] | float) -> Tensor:
-        """Values at times; before the first breakpoint, and after the last one, those there.
+        """Values at times. Before the first breakpoint and after the last one, the value there.
 
         Args:
             time: (...) time units.
@@ -183,7 +184,7 @@ class Spline:
             (..., *control.shape[1:]) float64.
 
         Raises:
-            TypeError, ValueError: `time` is no number, or no tensor of some.
+            TypeError, ValueError: `time` is not a number or a tensor of numbers.
 
         Example:
             >>> pgccd.Spline(torch.tensor([0.0, 2.0]), degree=1).at([0.25, 0.5])
@@ -211,7 +212,7 @@ class Spline:
         return values, (off * _UP).repeat_interleave(parts, dim=0)
 
     def time_of(self, segment: Tensor, toi: Tensor) -> Tensor:
-        """Times (K,), time units, of contacts at `toi` (K,) in [0, 1] of segments (K,); where a segment is -1, inf.
+        """Times (K,), time units, of contacts at `toi` (K,) in [0, 1] of segments (K,); inf where the segment is -1.
 
         Args:
             segment: (K,) int64.

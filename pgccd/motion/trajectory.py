@@ -35,23 +35,23 @@ _COLUMNS = ("position", "orientation", "rotation", "margin")
 class Trajectory:
     """Paths through T waypoints: T - 1 segments, each a step like `RigidMotion` or `VertexMotion`.
 
-    Two waypoints of a robot's link do not follow the path of its joint. Between them the link's origin moves on a
-    straight line, while a link whose joint is elsewhere swings on an arc, so contacts of the true path may be missed.
-    Give a margin of at least the deviation (`margin`, or that of the scene), and so many waypoints that it is small; or
-    put the mesh's origin at the joint, if the joint itself moves on a straight line. `pgccd.robots` does all of this
-    for arms.
+    A robot's link between two waypoints does not follow the path that its joint makes. Between waypoints the link's
+    origin moves on a straight line, but a link whose joint is elsewhere swings on an arc, so contacts of the true path
+    may be missed. Give a margin of at least the deviation (`margin`, or the margin of the scene), and enough waypoints
+    to keep it small. Or put the mesh's origin at the joint, if the joint itself moves on a straight line.
+    `pgccd.robots` does all of this for arms.
 
     Args:
         position: (T, N, 3) positions of the meshes' origins, world frame, scene length units; or, without
             `orientation`, vertices (T, X, 3) of deforming bodies, in the order of `VertexMotion`.
         orientation: (T, N, 4) unit quaternions (w, x, y, z), body to world. Without `rotation`, bodies rotate the
-            shorter way between waypoints. With it, (N, 4) of the first waypoint suffices: others follow.
+            shorter way between waypoints. With it, those of the first waypoint (N, 4) suffice: the others follow.
         path: "rigid" or "linear", as for `RigidMotion`.
         rotation: (T - 1, N, 3) rotation vectors of the segments, radians, world frame, as for
             `RigidMotion.from_rotation`; turns may be longer than half a revolution. Orientation k + 1 must be
-            exp(rotation k) orientation k, up to rounding: of float64, or of float32 if one of both is given as such.
-        margin: (T - 1, N) lengths: thickness of each body in each segment, besides that of the scene (`Scene`). If the
-            true path never strays from the tested one by more than this, no contact of the true path is missed.
+            exp(rotation k) orientation k, up to the rounding of float64, or of float32 if either is given as float32.
+        margin: (T - 1, N) lengths: thickness of each body in each segment, added to the margin in the scene (`Scene`).
+            If the true path never strays from the tested one by more than this, no contact of the true path is missed.
 
     float32 input is widened to float64 exactly. Construction synchronises with a GPU once, and once more with
     `rotation` or `margin`.
@@ -172,8 +172,8 @@ class Trajectory:
         rotation: Tensor | None = None,
         vertex_counts: Sequence[int] | None = None,
     ) -> Trajectory:
-        """From splines of positions: with so many waypoints that straight lines between them are within `stray` of the
-        curves, and that distance as margin, so that no contact of the curves is missed.
+        """From splines of positions. There are enough waypoints that straight lines between them are within `stray` of
+        the curves. That distance is the margin, so that no contact of the curves is missed.
 
         Each of the S segments of the spline becomes `segment_count / S` segments of equal duration.
 
@@ -183,11 +183,11 @@ class Trajectory:
             orientation: (S + 1, N, 4) unit quaternions (w, x, y, z) at the breakpoints, between which bodies rotate at
                 constant rates, the shorter way; or (N, 4) at the first one.
             stray: length > 0.
-            rotation: (S, N, 3) as for the constructor; without it, orientation (N, 4) stays.
+            rotation: (S, N, 3) as for the constructor; without it, an orientation (N, 4) stays constant.
             vertex_counts: (N,) numbers of vertices of deforming bodies. Default: one body.
 
         Raises:
-            TypeError, ValueError: naming the argument; or more than a million waypoints were needed.
+            TypeError, ValueError: naming the argument; or more than a million waypoints would be needed.
 
         Example:
             >>> curve = pgccd.Spline(torch.tensor([[[0.0, 0, 0]], [[0.0, 1, 0]], [[1.0, 1, 0]]]), degree=2)
@@ -204,9 +204,7 @@ class Trajectory:
         off = norm(position._divided(1)[1])
         parts = max(1, math.ceil(math.sqrt(float(off.max()) / wanted)))
         if parts * position.segment_count > _MOST_WAYPOINTS:
-            raise ValueError(
-                f"stray: expected a larger length than {stray}, for which {parts} parts are needed of each"
-            )
+            raise ValueError(f"stray: expected a larger length than {stray}, which needs {parts} parts of each segment")
         values, off = position._divided(parts)
         margin = norm(off) * _SUM_ROUNDING
         if orientation is None:
@@ -277,8 +275,8 @@ class Trajectory:
             raise ValueError(
                 f"rotation: segment {first + segment}, body {body}: expected a rotation vector that leads to the "
                 f"orientation of waypoint {first + segment + 1} within {float(allowed[row]):.2g} of a unit quaternion, "
-                f"got one that leads {float(off[row]):.3g} away; orientation (N, 4) of the first waypoint alone "
-                "lets the others follow"
+                f"got one that leads {float(off[row]):.3g} away; if only the first waypoint's orientation (N, 4) is "
+                "given, the others follow"
             )
 
     @property
@@ -293,7 +291,7 @@ class Trajectory:
 
     def segment(self, index: int) -> RigidMotion | VertexMotion:
         """The step from waypoint `index` to the next. `detect` returns the same contacts for it as for this segment,
-        bitwise, if `margin` [index] is added to that of the scene.
+        bit by bit, if `margin[index]` is added to the margin of the scene.
 
         Raises:
             IndexError: the index is out of range.
@@ -422,11 +420,11 @@ class Trajectory:
         return part
 
     def _margins(self, of_scene: Tensor | None, bodies: int) -> Tensor | None:
-        """(S N,) margins of the bodies of all segments, from those of the scene's bodies in all segments, if any; their
-        sums are rounded up.
+        """(S N,) margins of the bodies in all segments: sums of the trajectory's and of the scene's (S N,), if any,
+        rounded up.
 
         Raises:
-            ValueError: the margins are those of another number of bodies.
+            ValueError: the margins are of another number of bodies.
         """
         if self.margin is None:
             return of_scene

@@ -1,5 +1,5 @@
-"""Validation of the numbers in the columns of motions and scenes: `ops.first_invalid_rows` finds invalid ones; errors
-name the column and the row, and give the value.
+"""Validation of the numbers in the columns of motions and scenes. `ops.first_invalid_rows` finds invalid numbers;
+errors name the column and the row, and give the value.
 """
 
 import math
@@ -84,7 +84,7 @@ class Checked:
         check: of each row.
         row: the meaning of a row, "body" or "vertex".
         source: the argument that the column is computed from.
-        origin: that argument, if it is there, which errors then name.
+        origin: that argument with its own check, if known; errors then name it.
     """
 
     name: str
@@ -98,8 +98,8 @@ class Checked:
         return len(self.values)
 
     def problem(self, index: int, number: int | None = None, later: bool = False) -> str:
-        """What is wrong with a row, whose number in the error is `number`, by default its index; without its values if
-        they may be others by now (`later`).
+        """What is wrong with a row. Its number in the error is `number`, by default its index. With `later` its values
+        are left out, since they may have changed.
         """
         if self.origin is not None and self.origin.check.is_invalid(self.origin.values[index].tolist()):
             return self.origin.problem(index, number, later)
@@ -111,7 +111,7 @@ class Checked:
 
 @dataclass
 class _WeaklyChecked(Checked):
-    """A column that may be gone when an error is to name a row of it; `values` has none."""
+    """A column that may be gone when an error is to name a row of it. It does not hold the values."""
 
     rows: int = 0
     column: weakref.ref[Tensor] | None = None
@@ -208,7 +208,9 @@ class Validation:
     radius: Tensor | None = None
 
     def weakly(self) -> "Validation":
-        """The same, for results: it does not keep the columns alive, and states their values only while others do."""
+        """The same, for results: it does not keep the columns alive, and states their values only while something else
+        does.
+        """
         return replace(self, columns=[_WeaklyChecked.of(column) for column in self.columns])
 
     def raise_from(self, first: Sequence[int], later: bool = False) -> None:
@@ -216,7 +218,7 @@ class Validation:
 
         Args:
             first: values of `first_invalid_rows`.
-            later: whether columns may hold other values by now; the message then states none.
+            later: whether columns may hold other values by now; the message then states no values.
         """
         for column, index in zip(self.columns, first, strict=False):
             if index < len(column):

@@ -17,7 +17,7 @@ from pgccd.motion.trajectory import Trajectory
 #: Positions (N, 3) and orientations (N, 4) of rigid bodies; or vertices (X, 3) of deforming ones.
 Frame: TypeAlias = tuple[Tensor, Tensor] | Tensor
 
-# Bodies, or vertices of deforming bodies, of all segments of a window.
+# Number of bodies, or of vertices of deforming bodies, in all segments of a window.
 _ROWS = 1 << 16
 
 

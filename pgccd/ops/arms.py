@@ -47,10 +47,11 @@ def certify_paths(
     error: float,
     resolution: float,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """Whether paths are free of contact, whose segments are Bernstein polynomials with control points (B, S degree + 1,
-    J), up to `error`; of degree 1 with waypoints (B, T, J): verdict (B,) int8 as `pgccd.robots.Verdict`; segment
-    (B,) int64 and toi (B,) of the first contact; the bodies (B, 2) int32 that meet, -1 for none; the point (B, 3); and
-    counts (B, 4) int64: of parts of segments, of body pairs over such parts, of node tests and of feature pairs.
+    """Whether paths are free of contact. Their segments are Bernstein polynomials with control points (B, S degree + 1,
+    J), up to `error`; of degree 1 with waypoints (B, T, J). Returns verdict (B,) int8 as `pgccd.robots.Verdict`;
+    segment (B,) int64 and toi (B,) of the first contact; the bodies (B, 2) int32 that meet, -1 for none; the point (B,
+    3); and counts (B, 4) int64: of parts of segments, of body pairs over such parts, of node tests and of feature
+    pairs.
 
     bodies: mesh_index (N + M,) int32, radius and margin (N + M,) of N bodies and M obstacles, pairs (P, 3) int32: two
     bodies, and the number of frames that both their chains begin with. obstacles: position_t0, position_t1 (R, M, 3),

@@ -116,8 +116,8 @@ def broad_pairs(
 ) -> Tensor:
     """Sorted pairs (P, 2) int64 of swept bodies that come within min_separation + tolerance; a negative tolerance is
     relative to the smaller radius of a pair. broad_phase: number in csrc/kernels/broad/broad.h; axis: of a sweep, -1
-    for automatic. Neither affects the result. at_any_times: also pairs that may come so near at two times, each of one
-    body.
+    for automatic. Neither affects the result. at_any_times: also pairs that may come so near with each body at a time
+    of its own.
     """
     return int64(swept[0], unknown_count(), 2)
 
@@ -206,7 +206,7 @@ def detect_rigid(
     capacity: Sequence[int],
 ) -> tuple[Tensor, ...]:
     """`pairs_padded`, then `contacts_padded` for the pairs found. invalid_rows: as from `sound_radii`. If a row is
-    invalid there are no pairs; but with `searches_sound` those of all bodies whose sphere has a radius >= 0.
+    invalid there are no pairs; with `searches_sound`, the pairs of all bodies whose sphere has a radius >= 0.
     """
     return _found(bodies[1], invalid_rows.shape[0], capacity)
 

@@ -20,10 +20,10 @@ from pgccd.search.padded import lower_first_toi
 from pgccd.search.passes import SearchPass
 from pgccd.search.query import Query
 
-# A longer list, relative to the PCS, costs more than the broad phases of rounds.
+# A list longer than this, relative to the PCS, costs more than the broad phases of rounds.
 _LONGEST = 4
-# Where bodies move further, relative to their reach, a list is not tried: in a crowd of unit boxes it would be at least
-# six times as long as the PCS.
+# If bodies move further than this, relative to their reach, no list is tried: in a crowd of unit boxes it would be at
+# least six times as long as the PCS.
 _FARTHEST = 6.0
 
 _BYTES_OF_PAIR = BufferSizes(pairs=1, contacts=0).bytes
@@ -56,10 +56,10 @@ class ListedSearch:
     """A `pgccd.resolution.rounds.RoundSearch` of rigid bodies on arcs, without a broad phase: a round searches those
     pairs of a list of which a body has changed, each on copies of its two bodies.
 
-    The list has all pairs that may meet if bodies are stopped or slowed down anywhere on their way. The PCS would not
-    suffice: it is of equal times, and a body may run into another that stopped in its way, although the two never come
-    near at equal times of their whole paths. A body that is slowed down moves on a part of its path, so two that meet
-    then are near at two times of their whole paths.
+    The list has all pairs that may meet if bodies are stopped or slowed down anywhere on their way. The PCS does not
+    suffice, because it compares bodies at equal times: a body may run into another that stopped in its way, although
+    the two never come near at equal times of their whole paths. A body that is slowed down moves on a part of its path,
+    so two bodies that then meet are near at two times of their whole paths.
 
     Args:
         passes: of the whole step.
@@ -176,6 +176,8 @@ class ListedSearch:
 
 
 def _pieces(wanted: int, pairs: Tensor) -> int:
-    """Number of parts in which pairs (P, 2) that want so many bytes are searched sequentially; at most one per pair."""
+    """Number of parts in which pairs (P, 2) are searched one after the other, if they need `wanted` bytes; at most one
+    per pair.
+    """
     limit = memory_limit(None, wanted, pairs.device)
     return max(1, min(-(-wanted // limit), len(pairs)))

@@ -35,7 +35,7 @@ from pgccd.search.padded import search_padded
 from pgccd.search.passes import SearchPass, find_pass, pairs_of_rounds
 from pgccd.search.query import Query
 
-# All of them are enqueued; from the fifth on each one stops a body for good.
+# All rounds are enqueued. From the fifth on, each round stops a body for good.
 _MOST_ROUNDS = 1000
 
 
@@ -90,44 +90,46 @@ def resolve(
     capacity: Capacity | None = None,
     rounds: int | None = None,
 ) -> Resolution[M] | PaddedResolution[M] | TrajectoryResolution:
-    """The fraction f_i of its path that each body can move such that no two bodies touch, body i on x_i(f_i t) for t in
-    [0, 1]: the step that a loop may commit.
+    """Finds the fraction f_i of its path that each body can move such that no two bodies touch, and the step that a
+    loop may commit: body i on x_i(f_i t) for t in [0, 1].
 
     A body stops at 0.99 of its first toi. Others may then meet it where it stopped, so the step is tested again in
-    rounds, until no body changes. A body that could move by less than 0.01 of its path does not move, nor does one that
-    still collides in the fourth round or later. There is no unique largest choice (either of two bodies may give way);
-    this one is the same in every run, on every device, and bodies of one world do not depend on other worlds.
+    rounds, until no body changes. A body that could move by less than 0.01 of its path does not move, nor does a body
+    that still collides in the fourth round or later. The largest fractions are not unique, because either of two bodies
+    may give way. The result is the same in every run, on every device, and bodies of one world do not depend on other
+    worlds.
 
     Bodies that touch or intersect another at t = 0 do not move, and the pairs are listed. A body that may not be
-    stopped keeps its whole path; what it meets although the other one has been stopped is listed as unresolved. A body
-    that deforms stops before it meets itself, if it has `self_collision` in the scene.
+    stopped keeps its whole path. If it meets another body even though that body was stopped, the pair is listed as
+    unresolved. A body that deforms stops before it meets itself, if it has `self_collision` in the scene.
 
     Args:
         scene: the bodies; its filters and margins apply.
         motion: their paths over one step; or a `Trajectory`, whose segments are resolved one after the other: a body
-            that is stopped in one stays there. With `RigidMotion(path="linear")`, vertices of a stopped
-            body move straight to its pose at f_i on the arc, see `RigidMotion.shortened`.
+            that is stopped in a segment stays there. With `RigidMotion(path="linear")`, vertices of a stopped body move
+            straight to its pose at f_i on the arc, see `RigidMotion.shortened`.
         movable: (N,) bool: the bodies that may be stopped. Default: all.
         min_separation: length >= 0; bodies at most this far apart touch, as for `detect`.
         tolerance, broad_phase: as for `detect`. Bodies that start further apart than min_separation may move, even if
             they are within the tolerance.
         initial: "report": surfaces that intersect and bodies inside of solids at t = 0 count as touching.
             "assume_free": the caller guarantees that there are none, for example because the previous step was
-            resolved; the tests are left out.
-        capacity: of each search and of the lists of pairs. Then sizes are fixed, the call does not synchronise, and it
-            can be captured by `torch.cuda.graph` (for deforming bodies, call it once before).
-        rounds: with `capacity`, how many rounds are made, 8 by default: superfluous ones change nothing. If the last
-            one changes a body, the result is incomplete.
+            resolved. The tests for them are skipped.
+        capacity: of each search and of the lists of pairs. With it, sizes are fixed, the call does not synchronise, and
+            it can be captured by `torch.cuda.graph` (for deforming bodies, call it once before).
+        rounds: with `capacity`, the number of rounds. Default: 8. Superfluous rounds change nothing. If the last round
+            changes a body, the result is incomplete.
 
     Returns:
-        Resolution, on the scene's device; of a trajectory TrajectoryResolution; PaddedResolution if `capacity` is
-        given: an incomplete one reads as fraction 0 for every body. On a GPU the host synchronises twice (once if no
-        body is stopped), again in the first call for a scene, and if a step exceeds the capacities or the number of
-        rounds of earlier ones.
+        Resolution, on the scene's device; TrajectoryResolution for a trajectory; PaddedResolution if `capacity` is
+        given, which reads as fraction 0 for every body if it is incomplete. On a GPU the host synchronises twice (once
+        if no body is stopped); once more in the first call for a scene, or if a step exceeds the capacities or the
+        number of rounds of earlier steps.
 
     Raises:
-        TypeError, ValueError: naming the argument; also if an input requires grad. A UserWarning names a scene whose
-            only body is not tested against itself, and a deforming body that moves and gets fraction 0.
+        TypeError, ValueError: naming the argument; also if an input requires grad. A UserWarning says that the scene
+            has one body, if that body is not tested against itself, and names a deforming body that moves and gets
+            fraction 0.
 
     Example:
         >>> resolved = pgccd.resolve(scene, motion)
@@ -316,7 +318,7 @@ class _Step:
 
 
 def _are_both(bodies: Tensor, pairs: Tensor) -> Tensor:
-    """(P,) bool: pairs (P, 2) of which both are marked by (N,) bool; also rows of -1."""
+    """(P,) bool: pairs (P, 2) of two bodies marked by (N,) bool; True also for rows of -1."""
     return torch.cat([bodies, bodies.new_ones(1)])[pairs].all(dim=1)
 
 

@@ -25,14 +25,14 @@ class Resolution(Columns, Generic[M]):
             pairs in `touching_at_start` and `unresolved`: detection has tested this motion as it is, rounding included.
         fraction: (N,) float64 in [0, 1], the part of its path that each body moves; 1 for bodies that nothing stopped
             and for those that may not be stopped.
-        stopped_by: (N,) int64, index of the body whose contact stopped this one (its own for a body that meets itself;
-            of several at the same time the smallest); -1 where `fraction` is 1.
+        stopped_by: (N,) int64, index of the body whose contact stopped this one (its own index for a body that meets
+            itself; the smallest if there are several at the same time); -1 where `fraction` is 1.
         touching_at_start: (S, 2) int64 pairs i <= j, sorted, that intersect, touch or are within min_separation and
-            margins (plus the tolerance) at t = 0. Those of the two that may be stopped have fraction 0.
+            margins (plus the tolerance) at t = 0. Both bodies have fraction 0, unless they may not be stopped.
         unresolved: (U, 2) int64 pairs i <= j, sorted, that are not proven free on `motion` and of which at least one
-            body moves. In each of them a body that may not be stopped meets one that was stopped, or another that may
-            not be.
-        rounds: number of detections after the first, without the last, which tests `motion`.
+            body moves. In each pair, a body that may not be stopped meets a body that was stopped, or another one that
+            may not be stopped.
+        rounds: number of detections after the first one, not counting the last one, which tests `motion`.
     """
 
     motion: M

@@ -1,8 +1,8 @@
 """Rounds of resolution: the part of the step that each body moves such that none collides.
 
-A body stops just before its first toi. Others may then collide with it where they expected it to move on, so the step
-is tested again, among the bodies just slowed down and between them and all others, until no round changes a body. In
-the resulting step no two bodies touch that started apart and may both be stopped.
+A body stops just before its first toi. Others may then collide with it, because they were tested as if it moved on. The
+step is tested again, among the bodies just slowed down and between them and all others, until no round changes a body.
+In the resulting step no two bodies touch that started apart and may both be stopped.
 
 Several rounds are enqueued at a time, before it is known whether they are needed: superfluous rounds change nothing.
 """

@@ -22,9 +22,9 @@ from pgccd.search.query import Query
 
 @dataclass(eq=False)
 class ShortenedSearch:
-    """Every round is a detection among all bodies on their shortened paths, broad phase included, of which only pairs
-    with a body that has changed are searched. The pairs of the whole step would not suffice: their test takes both
-    bodies at the same time, and a body that has stopped meets others later than on its whole path.
+    """Every round is a detection among all bodies on their shortened paths, broad phase included. It searches only
+    pairs with a body that has changed. The pairs of the whole step do not suffice, because their test takes both bodies
+    at the same time, and a body that has stopped meets others later than on its whole path.
 
     Args:
         passes: of the whole step.

@@ -7,7 +7,7 @@ _NOBODY = torch.iinfo(torch.int64).max
 
 
 class StoppedBy:
-    """For each body, the one whose contact lowered its fraction last; of several at equal times the smallest id.
+    """For each body, the body whose contact lowered its fraction last; the smallest id of several at equal times.
 
     Args:
         body_count: number of bodies N.

@@ -24,21 +24,21 @@ from pgccd.resolution.search import body_of_vertex
 class TrajectoryResolution(Columns):
     """How far each of N bodies follows its trajectory of S segments such that none meets another.
 
-    Each segment is resolved like a step, given where the bodies are then: one that is stopped stays there, and its
-    later waypoints are void. Others may still be stopped by it.
+    Each segment is resolved like a step, from where the bodies are at its start. A body that is stopped stays where it
+    is, and its later waypoints are void. It may still stop other bodies.
 
     Attributes:
-        motion: where the bodies go. A body that turns and is stopped within a segment follows its path there up to the
-            rounding of the orientation at which it stops. It keeps the margin of that segment.
-        segments: S motions, the same paths as they were tested: nothing touches on them except the pairs in
+        motion: where the bodies go. A body that turns and is stopped within a segment follows its path in that segment,
+            up to the rounding of the orientation at which it stops. It keeps the margin of that segment.
+        segments: S motions: the same paths as they were tested. Nothing touches on them except the pairs in
             `touching_at_start` and `unresolved`.
-        fraction: (S, N) float64 in [0, 1], the part of each segment that each body moves: 1, then in one segment less
-            if it is stopped, then 0.
-        stopped_by: (N,) int64, index of the body whose contact stopped this one, as of `Resolution`; -1 for none.
+        fraction: (S, N) float64 in [0, 1], the part of each segment that each body moves: 1 until the body is stopped,
+            less than 1 in that segment, and 0 after it.
+        stopped_by: (N,) int64, index of the body whose contact stopped this one, as for `Resolution`; -1 for none.
         touching_at_start: (P, 2) int64 pairs i <= j, sorted, that touch at the beginning of the first segment.
-        unresolved: (U, 2) int64 pairs i <= j, sorted, others that are not proven free in some segment; in each of them
-            a body may not be stopped, or a margin is larger than in the segment before, or a waypoint is not exactly
-            where the segment before it ends (the rounding of `rotation`; a float32 rotation makes 1e-7 rad).
+        unresolved: (U, 2) int64 pairs i <= j, sorted: other pairs that are not proven free in some segment. In each
+            pair a body may not be stopped, or a margin is larger than in the segment before, or a waypoint is not
+            exactly where the segment before it ends (by the rounding of `rotation`, 1e-7 rad if it is float32).
         rounds: number of detections in rounds, over all segments.
     """
 
@@ -93,7 +93,8 @@ def resolve_segments(
         waypoints.append(tuple(torch.where(rows, end, pose) for end, pose in zip(ends, given, strict=True)))
     touching = made[0].touching_at_start
     unresolved = [part.unresolved for part in made]
-    # Bodies that touch later without having been stopped apart: one of them may not be stopped, or a margin has grown.
+    # Bodies that touch later although they were not stopped apart: one of them may not be stopped, or a margin has
+    # grown.
     unresolved += [_without(part.touching_at_start, touching) for part in made[1:]]
     position, *orientation = (torch.stack(column) for column in zip(*waypoints, strict=True))
     rotation = None if trajectory.rotation is None else torch.stack([part.motion.rotation for part in made])

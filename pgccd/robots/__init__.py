@@ -1,4 +1,4 @@
-"""Robot arms: from URDF and MJCF files into scenes, and certificates that their paths are free of contact between
+"""Robot arms: scenes from URDF and MJCF files, and certificates that their paths are free of contact, also between
 waypoints.
 
 Files are read by yourdfpy and MuJoCo (`pip install 'pgccd[robots]'`).

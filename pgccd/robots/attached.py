@@ -18,7 +18,7 @@ _PAIR = "a position (3,) and an orientation (4,), a unit quaternion (w, x, y, z)
 
 @dataclass(frozen=True)
 class Attached:
-    """An object, rigidly on a link: a link of its own.
+    """An object fixed to a link. It is a link of its own.
 
     Attributes:
         name: of the object.

@@ -43,7 +43,7 @@ class Verdict(IntEnum):
 
 @dataclass(eq=False, kw_only=True, repr=False)
 class Certificate(Rows):
-    """Results of B environments, each of which says nothing about others.
+    """Results of B environments, independent of one another.
 
     Attributes:
         verdict: (B,) int8, see `Verdict`.
@@ -52,13 +52,13 @@ class Certificate(Rows):
         segment: (B,) int64: the segment of `time`, from waypoint `segment` to the next; -1 if free, invalid or
             undecided.
         toi: (B,) float64 in [0, 1], within the segment; inf if free.
-        links: (B, 2) int64: what meets there: a link, or -1 - k for obstacle k; the number of links where nothing does.
-        point: (B, 3) float64, world frame: where they meet; nan if nothing does.
+        links: (B, 2) int64: what meets there: a link, or -1 - k for obstacle k; the number of links if nothing meets.
+        point: (B, 3) float64, world frame: where they meet; nan if nothing meets.
         link_names: names of the robot's links.
         obstacle_names: names of the obstacles.
-        untested: `Robot.untested`: pairs of links, and of links and obstacles, of which nothing is said. Those that
-            samples left out are counted in the `repr`, since they may touch in other configurations.
-        steps: number of parts of segments over which pairs of bodies were tested, added for all pairs.
+        untested: `Robot.untested`: pairs of links, and of links and obstacles, that were not tested. The `repr` counts
+            those with the reason "sampled", since they may touch in other configurations.
+        steps: number of parts of segments over which pairs of bodies were tested, summed over all pairs.
 
     Example:
         >>> result = robot.certify(torch.zeros(1, 2, robot.joint_count))
@@ -96,7 +96,7 @@ class Certificate(Rows):
         Args:
             state: from `state_dict`.
             robot: whose paths these are.
-            obstacles: for their names. Default: they are "obstacle 0" and so on.
+            obstacles: for their names. Default: names "obstacle 0" and so on.
 
         Raises:
             TypeError, ValueError: naming the entry that is missing or invalid.
@@ -145,8 +145,8 @@ class Certificate(Rows):
 
 
 def links_of(pairs: Tensor, robot: Robot) -> Tensor:
-    """(B, 2) int64, of pairs of bodies (B, 2), -1 for none: a link, or -1 - k for obstacle k; the number of links for
-    none.
+    """(B, 2) int64 for pairs of bodies (B, 2): a link, or -1 - k for obstacle k; the number of links for body -1, which
+    is none.
     """
     own, link = robot.body_count, robot.body_link.to(pairs.device)
     links = torch.where(pairs < own, link[pairs.clamp(0, own - 1).long()], own - 1 - pairs)

@@ -23,7 +23,7 @@ class JointPaths:
     Attributes:
         control: (B, S degree + 1, J) float64 control points; of degree 1 waypoints.
         degree: of the polynomials.
-        error: the paths that were given are within this of those of the control points.
+        error: bound of the difference between the given paths and the paths of the control points.
     """
 
     control: Tensor
@@ -63,7 +63,7 @@ class JointPaths:
         return torch.cat([own, self.control[:, self.degree :: self.degree, None]], dim=2)
 
     def turns(self, robot: Robot) -> Tensor:
-        """(B, S), on a CPU: by how much a body turns at most in each segment, all joints added, rounded up."""
+        """(B, S), on a CPU: the most that a body turns in each segment, all joints added, rounded up."""
         points = self.segments()
         steps = (points[:, :, 1:] - points[:, :, :-1]).abs().amax(dim=2) * self.degree
         return robot._tables.turns(steps.flatten(0, 1)).reshape(steps.shape[:2])

@@ -53,7 +53,7 @@ class Tree:
 
     def expressions(self, q: Tensor) -> list[tuple[Tensor, Tensor]]:
         """By frame its position (K, 3) and orientation (K, 4) in configurations (K, J), as expressions of torch, for
-        gradients. The operators have values with equal bits on every device.
+        gradients. The values of the operators have equal bits on every device; these do not.
         """
         found: list[tuple[Tensor, Tensor]] = []
         for joint in self.joints:
@@ -75,12 +75,12 @@ class Tree:
 
     @cached_property
     def distances(self) -> list[float]:
-        """Of each frame from its parent at value 0, rounded up."""
+        """Distance of each frame from its parent at value 0, rounded up."""
         return [float(np.linalg.norm(joint.position)) * (1.0 + 2.0**-50) for joint in self.joints]
 
     @cached_property
     def chains(self) -> list[list[int]]:
-        """By frame the joints from the base to it, its own included."""
+        """For each frame, the joints from the base to it, its own included."""
         chains: list[list[int]] = []
         for index, joint in enumerate(self.joints):
             chains.append([*(chains[joint.parent] if joint.parent >= 0 else []), index])
@@ -89,8 +89,9 @@ class Tree:
     @cached_property
     def crossing(self) -> np.ndarray:
         """(joints, joints): an upper bound, in any configuration, of the sine of the angle between the axes of two
-        revolute joints of a chain. Joints that follow one another, such as the parallel ones of a shoulder and an
-        elbow, have a fixed angle, since one turns about its own axis; angles of others are at most the sums of these.
+        revolute joints of a chain. Axes of consecutive joints, such as the parallel ones of a shoulder and an elbow,
+        have a fixed angle, since a joint turns about its own axis. Angles of other axes are at most the sums of the
+        angles between.
         """
         bound = np.ones((len(self.joints), len(self.joints)))
         for chain in self.chains:

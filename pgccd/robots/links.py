@@ -13,13 +13,13 @@ def adjacent_links(tree: Tree, links: Sequence[tuple[int, bool]]) -> set[tuple[i
 
     From the last moving joint of a link the tree is followed upwards, over links without surfaces and through joints of
     any kind, to the first link with surfaces. That link is a neighbour of all links below the joint that are rigidly
-    joined. If it is below a moving joint itself, then so are the links that are rigidly joined to it; if it is fixed to
-    the root, no other link that is fixed to the root is a neighbour.
+    joined. If it is below a moving joint itself, the links that are rigidly joined to it are neighbours too. If it is
+    fixed to the root, no other link that is fixed to the root is a neighbour.
 
     Args:
         links: the frame of each, and whether it has surfaces.
     """
-    # The frame that each one is rigidly joined to: of the last joint that moves, or the root.
+    # The frame that each link is rigidly joined to: that of the last joint that moves, or the root.
     rigid: list[int] = []
     for joint in tree.joints:
         is_fixed = joint.kind == "fixed"

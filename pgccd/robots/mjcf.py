@@ -21,31 +21,32 @@ _UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
 
 
 def load_mjcf(path: str | PathLike[str]) -> Robot:
-    """A robot from an MJCF file: one body a MuJoCo body with geoms that may collide, its origin at its last joint.
+    """A robot from an MJCF file: one body per MuJoCo body with geoms that may collide, its origin at its last joint.
 
     Boxes and meshes are taken as they are (MuJoCo itself takes the convex hulls of meshes). Cylinders and ellipsoids
     are polyhedra around them, at most 0.13 % and 0.8 % larger; spheres are exact to 1.3e-9 of their radius, capsules to
-    rounding; height fields are solids with their base. Planes are infinite, whatever their size: in their place are
-    squares of twice the robot's reach and distance at least, and a configuration in which the robot may leave them is
-    invalid.
+    rounding; height fields are solids with their base. Planes are infinite, whatever their size. They become squares of
+    at least twice the robot's reach and distance; a configuration in which the robot may leave a square is invalid.
 
-    Tested are the pairs of geoms of different bodies that MuJoCo tests: not those of bodies that are rigidly joined;
-    nor of a body and its parent, both with all that is rigidly joined to them, unless that is the world or the flag
-    `filterparent` is disabled; nor those that `contype` and `conaffinity` or elements `exclude` leave out; but all that
-    elements `pair` name, unless no joint moves them. Bodies without geoms count as parents too. Geoms whose contype and
-    conaffinity are zero are left out, unless a `pair` names them; obstacles are tested against all others. See
-    `Robot.untested`; a warning names pairs that are tested and touch in the model's initial configuration.
+    The pairs of geoms of different bodies that MuJoCo tests are tested. Left out are bodies that are rigidly joined; a
+    body and its parent, each with all that is rigidly joined to it, unless the parent is the world or the flag
+    `filterparent` is disabled; and pairs that `contype` and `conaffinity` or elements `exclude` leave out. Pairs that
+    elements `pair` name are tested in any case, unless no joint moves them. Bodies without geoms count as parents too.
+    Geoms whose contype and conaffinity are zero are left out, unless a `pair` names them; all other geoms are tested
+    against obstacles. See `Robot.untested`. A warning names pairs that are tested and touch in the model's initial
+    configuration.
 
-    A joint that an `equality` ties to another one by a linear `polycoef` has no value of its own. Constraints that are
-    not active, or disabled by a flag, are left out. Tendons without an `equality` exert forces only, and are not read.
+    A joint that an `equality` ties to another joint by a linear `polycoef` has no value of its own. Constraints that
+    are not active, or that a flag disables, are left out. Tendons without an `equality` exert forces only, and are not
+    read.
 
     Args:
         path: of the MJCF file.
 
     Raises:
         FileNotFoundError: it does not exist.
-        ValueError: it cannot be read; or a joint is free or a ball, a geom an SDF, a body mocap; or there is a flex, or
-            a constraint that ties joints in another way, tendons, or bodies that move; naming it.
+        ValueError: the file cannot be read; or, naming it, the file has a free or ball joint, an SDF geom, a mocap
+            body, a flex, or a constraint that ties joints in another way, tendons, or bodies that move.
         ImportError: mujoco (extra `robots`) is not installed.
 
     Example:
@@ -59,7 +60,7 @@ def load_mjcf(path: str | PathLike[str]) -> Robot:
     mujoco, model = _compiled(path)
     follows = _followed_joints(mujoco, model, path)
     joints = [Joint("", "fixed", -1, np.zeros(3), _UPRIGHT, _X)]
-    # By body its frame, and where the body's own frame is in it: joints may be elsewhere than the body's frame.
+    # For each body, its frame, and where the MuJoCo body's own frame is in it: joints may be elsewhere than that frame.
     frame, shift = [0], [np.zeros(3)]
     names: list[str] = []
     limits: list[tuple[float, float]] = []
@@ -123,7 +124,7 @@ def load_mjcf(path: str | PathLike[str]) -> Robot:
         if any(bits) or k in in_pairs:
             body = int(model.geom_bodyid[k])
             placed = surface_of_geom(mujoco, model, k, path).placed(model.geom_pos[k], _unit(model.geom_quat[k]))
-            # What is filtered alike is one body.
+            # Geoms with the same filters are one body.
             group = (*bits, k) if k in in_pairs else bits
             surfaces[body].append(replace(placed.placed(shift[body], _UPRIGHT), group=group))
     labels = [model.body(body).name or f"body {body}" for body in range(model.nbody)]
@@ -147,7 +148,8 @@ def load_mjcf(path: str | PathLike[str]) -> Robot:
 
 
 def _followed_joints(mujoco: Any, model: Any, path: Path) -> dict[int, tuple[int, float, float]]:
-    """By joint the one that it follows, with a constant and a factor, both of values from the initial ones on.
+    """For each joint that follows another: that joint, a constant and a factor, both for values relative to the initial
+    ones.
 
     Raises:
         ValueError: a constraint is of another kind, or there is a flex.

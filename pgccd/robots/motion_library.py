@@ -1,5 +1,5 @@
-"""The functions of csrc/library/pgccd.h, which the compiled operators' library contains, for ctypes: a call takes less
-time than one of torch's, and leaves Python free for other threads.
+"""The functions of csrc/library/pgccd.h, which the library of the compiled operators contains, for ctypes. A call takes
+less time than a torch operator's, and releases the global interpreter lock.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _check_motion, _check_states = _library.pgccd_check_motion, _library.pgccd_check
 
 
 class NativeValidator:
-    """A validator of the library, for configurations of so many values. It is freed with this object.
+    """A validator of the library, for configurations of `width` values. It is freed with this object.
 
     Args:
         handle: of the library's validator.
@@ -92,7 +92,7 @@ class NativeValidator:
         """The verdict, or `BUSY`. If the first contact is wanted, `motion` tells more.
 
         Raises:
-            TypeError, ValueError: these are not so many numbers each.
+            TypeError, ValueError: a configuration does not have `width` numbers.
         """
         self._ends[0][:] = list(start)
         self._ends[1][:] = list(goal)

@@ -20,24 +20,24 @@ _POSE_ERROR = 2.0**-46
 
 
 class Obstacles:
-    """M bodies at rest, in one or more environments; or that move while the joints do.
+    """M bodies in one or more environments, at rest or moving while the joints do.
 
     Args:
-        meshes: the meshes. Draw a workspace that robots are inside of with faces that face inwards.
-        position: (M, 3) positions of the meshes' origins, world frame; or (B, M, 3), of each of B environments apart.
+        meshes: the meshes. The faces of a workspace that robots are inside of must face inwards.
+        position: (M, 3) positions of the meshes' origins, world frame; or (B, M, 3), for each of B environments.
             Default: (0, 0, 0).
         orientation: (M, 4) or (B, M, 4) unit quaternions (w, x, y, z), body to world. Default: (1, 0, 0, 0).
-        mesh_index: (M,) integers: mesh of each obstacle. Default: one obstacle a mesh.
+        mesh_index: (M,) integers: mesh of each obstacle. Default: one obstacle per mesh.
         margin: thickness, a number or (M,): a sphere is a point with its radius as margin. Default: none.
         motion: a trajectory of the M obstacles, in place of `position` and `orientation`, in all environments. It has
-            as many waypoints as the paths of joint values, and each of its segments takes place during that of the
-            path. Of rigid bodies, on rigid paths, without margins.
+            as many waypoints as the paths of joint values, and each of its segments takes place during the same segment
+            of the path. Only rigid bodies on rigid paths, without margins.
         names: (M) different names, for `Robot.allow` and results. Default: "obstacle 0" and so on.
 
     Attributes:
-        meshes: as given; those that are watertight and face outwards as solids, so that no robot is free inside.
+        meshes: as given, but those that are watertight and face outwards are solids, so that no robot is free inside.
         mesh_index: (M,) int64.
-        position, orientation: (M, 3) and (M, 4), or (B, M, 3) and (B, M, 4), float64; of `motion` those of its start.
+        position, orientation: (M, 3) and (M, 4), or (B, M, 3) and (B, M, 4), float64; with `motion`, at its start.
         motion: as given, or None.
         moves: (M,) bool: whether the obstacle moves.
         margin: (M,) float64.
@@ -45,8 +45,8 @@ class Obstacles:
         environments: B, or None if the obstacles are the same in all environments.
 
     Raises:
-        TypeError, ValueError: naming the argument. Poses of environments of their own that are invalid are found by
-            `certify`: they say nothing about others.
+        TypeError, ValueError: naming the argument. Invalid poses in one of B environments are no error here: `certify`
+            gives that environment the verdict `INVALID`.
 
     Example:
         >>> plate = pgccd.Mesh.box([1.0, 1.0, 0.1])
@@ -79,7 +79,7 @@ class Obstacles:
         self.margin = margin_column(0.0 if margin is None else margin, count, cpu)
         self.names = [f"obstacle {k}" for k in range(count)] if names is None else _names(names, count)
         self.motion, self.moves = motion, torch.zeros(count, dtype=torch.bool)
-        # (M,): how far points are from their exact places, at most, for rounding.
+        # (M,): how far points are at most from their exact places, by rounding.
         self._error = torch.zeros(count, dtype=torch.float64)
         if motion is not None:
             if position is not None or orientation is not None:

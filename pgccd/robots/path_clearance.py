@@ -27,9 +27,10 @@ from pgccd.robots.robot import Robot
 from pgccd.robots.tables import MOST_TURN, scene_tables
 from pgccd.search.distance import distance
 
-# Parts of the tolerance: of the distances of arcs, and of how far links stray from them.
+# Parts of the tolerance: for the distances of arcs, and for how far links stray from arcs.
 _OF_DISTANCES, _OF_STRAYS = 0.25, 0.0625
-# A part of a segment is divided into at most so many, and is not divided if it is so short: then rounding decides.
+# The largest number of parts that a part of a segment is divided into, and the length below which it is not divided,
+# since rounding then decides.
 _MOST_PARTS, _SHORTEST = 8, 2.0**-24
 # Of sums of lengths.
 _ROUNDING = 2.0**-40
@@ -111,21 +112,21 @@ def clearance(
     cutoff: float | None = None,
     tolerance: float | None = None,
 ) -> Clearance:
-    """How near links come to obstacles and to each other along paths in joint space, between waypoints too: a certified
-    lower bound and an upper bound of the least distance of surfaces, and where the latter is attained.
+    """How near links come to obstacles and to each other along paths in joint space, between waypoints too. Finds a
+    certified lower bound and an upper bound of the least distance of surfaces, and where the upper bound is attained.
 
-    Parts of paths are measured on arcs, with the bounds of `certify` of how far links stray from them. Parts that may
-    have the least distance are divided until the bounds are close enough. What is not tested by `certify` is not
-    measured either (`Robot.untested`).
+    Parts of paths are measured on arcs, with the same bounds as in `certify` of how far links stray from arcs. Parts
+    that may have the least distance are divided until the bounds are close enough. Pairs that `certify` does not test
+    (`Robot.untested`) are not measured either.
 
     Args:
         robot: the robot.
         q: paths, as for `certify`.
         obstacles: as for `certify`.
-        cutoff: length >= 0: larger distances do not matter: of a path that stays further away, by more than the
-            tolerance, `lower` is the cutoff. Default: they do.
-        tolerance: length > 0: how close the bounds are. Default: a thousandth of the robot's reach. Near a part's
-            2^-24th of a segment, rounding decides.
+        cutoff: length >= 0: larger distances do not matter. If a path stays further away, by more than the tolerance,
+            `lower` is the cutoff. Default: all distances matter.
+        tolerance: length > 0: how close the bounds are. Default: a thousandth of the robot's reach. Parts of 2^-24 of a
+            segment are not divided further; rounding then decides how close the bounds are.
 
     Returns:
         Clearance, on the device of q. Costs 50 to 100 times a `certify` that finds the path free. Synchronises with
@@ -165,7 +166,7 @@ class _Search:
         self.scene = robot._scene(obstacles).to(self.device)
         self.segments = paths.segments().flatten(0, 1).contiguous()
         self.lower = torch.full((count,), torch.inf, dtype=torch.float64, device=self.device)
-        # Two surfaces come nearer than the first of these; where `segment` is -1, none were found so near.
+        # Two surfaces come nearer than `upper`; where `segment` is -1, none were found so near.
         self.upper = (self._spheres_at_start() + tolerance).clamp(max=cutoff)
         self.segment = torch.full((count,), -1, device=self.device)
         self.toi = torch.full_like(self.lower, torch.nan)
@@ -214,7 +215,7 @@ class _Search:
         return [torch.cat(both, dim=1) for both in zip(arcs, others, strict=True)]
 
     def _spheres_at_start(self) -> Tensor:
-        """(B,): two surfaces are at most so far apart at the start of each path, since spheres contain them."""
+        """(B,): an upper bound of the least distance at the start of each path, from spheres around the bodies."""
         path = torch.arange(len(self.paths.control), device=self.device)
         zero = torch.zeros_like(path, dtype=torch.float64)
         position = self._arcs(path, torch.zeros_like(path), zero, zero)[0]
@@ -226,8 +227,8 @@ class _Search:
         return (1.0 + _ROUNDING) * torch.cat([apart, apart.new_full((len(apart), 1), torch.inf)], dim=1).amin(dim=1)
 
     def _measure(self, path: Tensor, segment: Tensor, begin: Tensor, end: Tensor) -> tuple[Tensor, Tensor]:
-        """Bounds over parts of segments (K,): of the distance from below (K,), and of how far bodies stray (K,). Keeps
-        the nearest points that are found.
+        """Lower bounds of the distance over parts of segments (K,), and bounds of how far bodies stray (K,). Keeps the
+        nearest points that are found.
         """
         cutoff = float(self.upper[path].amax())
         if math.isinf(cutoff):  # no pairs are tested
@@ -241,7 +242,8 @@ class _Search:
         found = distance(copies, motion, cutoff=cutoff, tolerance=_OF_DISTANCES * self.tolerance)
         part, pair = in_scene(found.pairs, count)
         lower = torch.full_like(begin, cutoff).scatter_reduce(0, part, found.lower, "amin")
-        # With their strays bodies are nearer on arcs, and by as much again they may be elsewhere than on these.
+        # Strays count twice: as margins they make bodies nearer on arcs, and bodies may be off their arcs by as much
+        # again.
         upper = (found.upper + 2.0 * (stray[part, pair[:, 0]] + stray[part, pair[:, 1]])) * (1.0 + _ROUNDING)
         row = earliest_of_each(path[part], len(self.upper), upper)
         row = row[upper[row] < self.upper[path[part[row]]]]
@@ -253,7 +255,7 @@ class _Search:
 
 
 def _divided(parts: Sequence[Tensor], into: Tensor) -> list[Tensor]:
-    """Parts of segments, (path, segment, begin, end) (K,) each, each divided into so many (K,) equal ones."""
+    """Parts of segments, (path, segment, begin, end) (K,) each, divided into `into` (K,) equal parts each."""
     path, segment, begin, end = (column.repeat_interleave(into) for column in parts)
     first = (into.cumsum(0) - into).repeat_interleave(into)
     number, count = torch.arange(len(path), device=path.device) - first, into.repeat_interleave(into)

@@ -21,27 +21,25 @@ RESOLUTION = 1e-3
 def certify(
     robot: Robot, q: Tensor | Spline, obstacles: Obstacles | None = None, *, resolution: float | None = None
 ) -> Certificate:
-    """Whether paths in joint space are free of contact, of links with obstacles and with each other, at every time
-    between waypoints. Joints move at constant rates from one waypoint to the next, or follow splines. Nothing is
-    missed, rounding included: a path is `free` only if no two surfaces have a common point on it, and `time` is never
-    late.
+    """Whether paths in joint space are free of contact, of links with obstacles and with each other, also between
+    waypoints. Joints move at constant rates from one waypoint to the next, or follow splines. Nothing is missed,
+    rounding included: a path is `free` only if no two surfaces have a common point on it, and `time` is never late.
 
-    Links do not move on arcs. The bound of how far they stray from them is given as margin, and steps that do not clear
-    with it are split: until they clear, or a pair is certainly within `resolution` of each other. See
-    docs/explanation/exactness.md, section 14.
+    Links do not move on arcs. A bound of how far they stray from arcs becomes the margin of each step. Steps that are
+    not free with this margin are split, until they are free or a pair is certainly within `resolution` of each other.
+    See docs/explanation/exactness.md, section 14.
 
     Obstacles may move: in each segment on the arc between two waypoints of their own (`Obstacles.motion`). They are not
     tested against each other. Links that no joint moves are not tested against obstacles at rest: a base may stand on a
-    table. A link inside of an obstacle, or of another link, that is a solid (`Mesh.solid`: watertight meshes are)
-    touches it: the verdict is START if the path starts so. Links inside of surfaces that are open touch nothing, see
+    table. A link that is inside of a solid obstacle or a solid link (`Mesh.solid`: watertight meshes are solids)
+    touches it; if the path starts like this, the verdict is START. Links inside of open surfaces touch nothing, see
     `Robot.hollow`. Limits of joints are not checked.
 
     Args:
         robot: the robot.
-        q: (B, T, J) configurations, radians or length units: B paths of T waypoints, in environments of their own; or
-            (T, J), one path. Or a
-            spline of configurations (B, J), or (J,) of one path.
-        obstacles: the same for all paths, or of each environment.
+        q: (B, T, J) configurations, radians or length units: B paths of T waypoints, each in an environment of its own;
+            or (T, J), one path. Or a spline of configurations (B, J), or (J,) for one path.
+        obstacles: the same for all paths, or for each environment.
         resolution: length > 0: paths on which two surfaces come as near as this may be reported as not free (`NEAR`).
             Default: a thousandth of the robot's reach.
 
@@ -50,7 +48,7 @@ def certify(
 
     Raises:
         TypeError, ValueError: naming the argument; also if q or the obstacles' margin requires grad. Numbers that are
-            not finite are the verdict `INVALID` of their environment alone.
+            not finite are no error: their environment gets the verdict `INVALID`.
 
     Example:
         >>> result = pgccd.robots.certify(robot, torch.tensor([[[0.0, 0.0], [1.0, 0.5], [2.0, 0.0]]]), obstacles)
@@ -78,7 +76,7 @@ class PathSearch:
         }
 
     def paths(self, q: Tensor | Spline) -> JointPaths:
-        """Paths, as many and of as many segments as the obstacles have.
+        """Paths. Their number, and their number of segments, must be those of the obstacles.
 
         Raises:
             TypeError, ValueError: they are something else.

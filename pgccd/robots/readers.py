@@ -33,7 +33,7 @@ def robot_of_file(path: Path, neutral: Sequence[float], *parts: Any) -> Robot:
         links = torch.unique(touching.sort(dim=1).values, dim=0).tolist()
         pairs = [(robot.link_names[a], robot.link_names[b]) for a, b in links]
         warnings.warn(
-            f"{path}: links touch in the neutral configuration, so that no path through it is free. If their surfaces "
+            f"{path}: links touch in the neutral configuration, so no path through it is free. If their surfaces "
             f"overlap by design: robot = robot.allow({pairs})",
             stacklevel=3,
         )

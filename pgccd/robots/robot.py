@@ -43,15 +43,15 @@ class Robot:
     """An arm, or any robot on a fixed base: links joined by revolute and prismatic joints, in a tree. Made by
     `load_urdf` and `load_mjcf`.
 
-    A link is one body, whose mesh has its origin at the link's joint; one with spheres or capsules of several radii is
-    one body a radius, since the radius is the thickness of its mesh. Links without collision surfaces have no body.
-    Infinite planes are bodies of their own: squares that no part of the robot can leave within the limits. An object
-    that the robot carries (`attach`) is a link too, the last one, with its mesh's origin.
+    A link is one body, whose mesh has its origin at the link's joint. A link with spheres or capsules of several radii
+    has one body for each radius, because the radius is the thickness of the mesh. Links without collision surfaces have
+    no body. Infinite planes are bodies of their own: squares that no part of the robot can leave within the limits. An
+    object that the robot carries (`attach`) is also a link, the last one, with its mesh's origin.
 
     Attributes:
         name: of the robot, as in the file.
         joint_names: (J) the names of the joints that a configuration has a value for, in its order. Joints that mimic
-            another have none.
+            another joint have no value.
         lower, upper: (J,) float64 limits, radians or length units; infinite where there are none.
         link_names: names of all links, attached objects included.
         attached: names of the attached objects.
@@ -59,13 +59,14 @@ class Robot:
         meshes: (N) `Mesh` of each body.
         moves: (N,) bool: whether joints move the body.
         exclude: (E, 2) int64: pairs of bodies that are never tested.
-        untested: why: the names of two links, and a reason, of each pair of links whose bodies are never tested against
-            each other: "both fixed" (no joint moves them), "adjacent" (joined; see the reader of the file), "file" (the
-            file excludes the pair), "sampled" (`excluding_sampled`), "attached" (an object and the link that carries
-            it), "touching" (an object and a link that it was attached as touching), "allowed" (`allow`). Where that
-            holds for some of the bodies only, the reason ends in ", in part". Also a link and an obstacle: "allowed".
-        reach: length: no point of the robot is further from its base, in any configuration within the limits; of
-            prismatic joints without limits within 1 length unit of 0. Without infinite planes.
+        untested: for each pair of links whose bodies are never tested against each other, both names and the reason:
+            "both fixed" (no joint moves them), "adjacent" (joined; see the reader of the file), "file" (the file
+            excludes the pair), "sampled" (`excluding_sampled`), "attached" (an object and the link that carries it),
+            "touching" (an object and a link in `touching` of `attach`), "allowed" (`allow`). If this holds for only
+            some of the bodies of the links, the reason ends in ", in part". Also pairs of a link and an obstacle:
+            "allowed".
+        reach: length: no point of the robot is further from its base, in any configuration within the limits. Prismatic
+            joints without limits count within 1 length unit of 0; infinite planes do not count.
 
     Example:
         >>> robot = pgccd.robots.load_urdf("arm.urdf")
@@ -108,8 +109,8 @@ class Robot:
         all_surfaces = [(lengths[frame], surface) for _, frame, surfaces in links for surface in surfaces]
         self.reach = max((length + each.reach for length, each in all_surfaces if not each.infinite), default=PLANE)
         away = [length + float(np.linalg.norm(each.centre)) for length, each in all_surfaces if each.infinite]
-        # Half the side of the squares in place of infinite planes, and by how much all joints together may slide before
-        # a body may be beside one.
+        # Half the side of the squares in place of infinite planes, and how far all joints together may slide before a
+        # body may be beside a square.
         slides = sum(self._slide(joint) for joint in tree.joints)
         half = max(PLANE, 2.0 * (self.reach + slides + max(away, default=0.0)))
         self._room = half - self.reach - max(away) if away else np.inf
@@ -166,7 +167,7 @@ class Robot:
         return slides > self._room
 
     def _reasons(self) -> dict[tuple[int, int], str]:
-        """By pair of bodies (i, j), i < j, the reason why it is never tested; "" for those of one link."""
+        """For each pair of bodies (i, j), i < j, that is never tested, the reason; "" for two bodies of one link."""
         of_file, links_of_file = self._of_file[2], len(self._of_file[1])
         owner, moves, found = self.body_link.tolist(), self.moves.tolist(), {}
         for i, j in combinations(range(self.body_count), 2):
@@ -186,8 +187,8 @@ class Robot:
 
     @property
     def hollow(self) -> list[str]:
-        """Names of links with a body that is no solid, since its surface is open: what is inside of it touches nothing
-        until it meets the surface.
+        """Names of links with a body that is no solid, because its surface is open. What is inside of such a body
+        touches nothing until it meets the surface.
 
         Example:
             >>> robot.hollow
@@ -218,20 +219,20 @@ class Robot:
         *,
         name: str | None = None,
     ) -> Robot:
-        """A robot that carries an object, rigidly on one of its links.
+        """A robot that carries an object, fixed to one of its links.
 
-        The object is a link of its own, the last one, with one body. It is tested against all obstacles and against all
-        links but the one that carries it and those in `touching`, neighbours of these links included; `untested` lists
-        what is left out. Where it lies on a table, the pair is one for `allow`.
+        The object is a link of its own, the last one, with one body. It is tested against all obstacles, and against
+        all links, neighbours included, except the link that carries it and those in `touching`; `untested` lists these
+        pairs. If the object lies on a table, pass the object and the table to `allow`.
 
         Args:
-            link: the name of the link, one that joints move; or of an attached object.
-            mesh: the object; as a solid if it is watertight and faces outwards.
+            link: the name of a link that joints move, or of an attached object.
+            mesh: the object. It is a solid if it is watertight and faces outwards.
             pose: position (3,) and orientation (4,), a unit quaternion (w, x, y, z), of the mesh's origin in the link's
-                frame, length units. The frame is that of the link in a URDF file; of an MJCF file that of the MuJoCo
-                body, moved to the body's last joint, as in `poses`.
+                frame, length units. For a URDF file, that is the frame of the link; for an MJCF file, the frame of the
+                MuJoCo body, moved to the body's last joint, as in `poses`.
             touching: names of links and attached objects that the object may touch, such as the fingers.
-            name: of the object. Default: that of the mesh, else "attached".
+            name: of the object. Default: the name of the mesh, else "attached".
 
         Raises:
             TypeError, ValueError: naming the argument: a link is unknown, `link` does not move, or the name is taken.
@@ -244,7 +245,7 @@ class Robot:
         """
         number = self._link(link, "link")
         if all(self._tree.joints[k].kind == "fixed" for k in self._tree.chains[self._links[number][1]]):
-            raise ValueError(f"link: expected one that joints move, got {link!r}: what is fixed is an obstacle")
+            raise ValueError(f"link: expected a link that joints move, got {link!r}: what is fixed is an obstacle")
         if isinstance(touching, str) or not isinstance(touching, Iterable):
             raise TypeError(f"touching: expected a list of names of links, got {arguments.describe(touching)}")
         touched = [self.link_names[self._link(each, "touching")] for each in touching]
@@ -258,7 +259,7 @@ class Robot:
         return self._carrying(objects, self._left_out + LeftOut(reasons))
 
     def detach(self, name: str) -> Robot:
-        """A robot without this attached object. Pairs with it that were not tested are forgotten.
+        """A robot without this attached object, and without the untested pairs of the object.
 
         Args:
             name: of the object.
@@ -280,23 +281,22 @@ class Robot:
         return self._carrying(others, self._left_out.without(name))
 
     def _carrying(self, objects: Sequence[Attached], left_out: LeftOut) -> Robot:
-        """The robot of the file with these objects, of which these pairs are not tested."""
+        """The robot of the file with these objects, without tests of these pairs."""
         tree, links, why_untested = self._of_file
         limits = list(zip(self.lower.tolist(), self.upper.tolist(), strict=True))
         other = Robot(self.name, tree, links, self.joint_names, limits, why_untested, objects)
         return other._leaving_out(left_out)
 
     def allow(self, pairs: Iterable[tuple[str, str]]) -> Robot:
-        """A robot of which these pairs are not tested either, such as an attached object and the table that it is
-        lifted from. `untested` lists them.
+        """A robot that does not test these pairs either, such as an attached object and the table that it is lifted
+        from. `untested` lists them.
 
         Args:
-            pairs: of names: of two links, attached objects included, or of a link and an obstacle. What is no link is
-                an obstacle: the robot is then used with obstacles of which one has that name, and an error says so if
-                none has.
+            pairs: of names: of two links, attached objects included, or of a link and an obstacle. A name of no link is
+                an obstacle's: later calls with obstacles raise an error if none of them has that name.
 
         Raises:
-            TypeError, ValueError: these are no pairs of two different names, or neither is that of a link.
+            TypeError, ValueError: these are no pairs of two different names, or neither name is of a link.
 
         Example:
             >>> lifting = robot.allow([("upper", "table")])
@@ -306,7 +306,7 @@ class Robot:
         return self._leaving_out(LeftOut.allowed(pairs, self.link_names))
 
     def _leaving_out(self, pairs: LeftOut) -> Robot:
-        """A robot of which these pairs are not tested either."""
+        """A robot that does not test these pairs either."""
         other = copy.copy(self)
         other._left_out = self._left_out + pairs
         other._why_untested = other._reasons()
@@ -318,12 +318,13 @@ class Robot:
         return self.link_names.index(name)
 
     def excluding_sampled(self, samples: int = 1000, share: float = 0.95, seed: int = 0) -> Robot:
-        """A robot of which pairs of links are not tested that collide in nearly all random configurations, since their
+        """A robot that does not test pairs of links that collide in nearly all random configurations, because their
         surfaces overlap by design. Pairs that never collide in the samples stay tested.
 
         Args:
-            samples: number of configurations, uniform within the limits; joints that turn without limits by up to pi.
-            share: pairs are left out if they collide in at least this part of them.
+            samples: number of configurations, uniform within the limits; for revolute joints without limits, within -pi
+                to pi.
+            share: pairs are left out if they collide in at least this part of the samples.
             seed: of the random numbers.
 
         Raises:
@@ -346,7 +347,7 @@ class Robot:
             x, r = self.poses(some)
             at_rest = RigidMotion.at_rest(x.flatten(0, 1), r.flatten(0, 1))
             pairs = collide(many, at_rest).pairs
-            # Each pair of links once a configuration, although they may be several bodies.
+            # Each pair of links counts once for a configuration, even if the links have several bodies.
             sample = pairs[:, 0] // self.body_count
             of_links = owner[pairs % self.body_count].sort(dim=1).values
             once = torch.unique((sample * count + of_links[:, 0]) * count + of_links[:, 1])
@@ -375,8 +376,8 @@ class Robot:
         Returns:
             Positions (..., N, 3) and orientations (..., N, 4), unit quaternions (w, x, y, z), body to world; nan where
             the value of a joint is not finite or larger than 1e6, or the robot may leave the square in place of an
-            infinite plane. If q requires grad, then so do they; a
-            `pgccd.Trajectory` of them has contacts with gradients.
+            infinite plane. If q requires grad, so do the poses; a `pgccd.Trajectory` of them has contacts with
+            gradients.
 
         Raises:
             TypeError, ValueError: q has another type or shape.
@@ -406,15 +407,15 @@ class Robot:
         return torch.cat(columns, dim=-1)
 
     def scene(self, obstacles: Obstacles | None = None) -> Scene:
-        """The robot's bodies, then those of the obstacles. Bodies that do not move are not tested against each other;
-        nor are obstacles.
+        """The robot's bodies, followed by the obstacles. Bodies that do not move are not tested against each other; nor
+        are obstacles.
 
         Args:
             obstacles: the obstacles, if any.
 
         Raises:
-            TypeError: they are something else.
-            ValueError: none has the name of one that `allow` leaves out, or one has the name of a link.
+            TypeError: `obstacles` are something else.
+            ValueError: no obstacle has a name that was given to `allow`, or an obstacle has the name of a link.
 
         Example:
             >>> scene = robot.scene(obstacles)
@@ -426,7 +427,7 @@ class Robot:
         return self._scene(obstacles)
 
     def _scene(self, obstacles: Obstacles | None) -> Scene:
-        """As `scene`, of obstacles with names as they should be, or none at all."""
+        """As `scene`, for obstacles with checked names, or none."""
         exclude = set(self._why_untested)
         meshes, static = list(self.meshes), ~self.moves
         margin = torch.zeros(len(meshes), dtype=torch.float64)
@@ -449,11 +450,11 @@ class Robot:
         return scene
 
     def trajectory(self, q: Tensor | Spline, obstacles: Obstacles | None = None) -> Trajectory:
-        """The path through configurations, for `pgccd.detect` with `scene`: with margins within which links stray from
-        arcs. A contact of it may be due to these margins; `certify` makes them as small as needed.
+        """The path through configurations, for `pgccd.detect` with `scene`. Its margins bound how far links stray from
+        arcs. A contact may be due to these margins; `certify` makes them as small as needed.
 
         If a link turns by more than 0.99 rad in a segment, all joints added, every segment is split into the same
-        number of equal parts: times along the whole path stay what they are, and a segment of `q` becomes
+        number of equal parts. Times along the whole path do not change, and each of the S segments of `q` becomes
         `segment_count / S` segments.
 
         Args:
@@ -484,7 +485,7 @@ class Robot:
         s = torch.tensor([k / parts for k in range(parts + 1)], dtype=torch.float64, device=device)
         begin, end = (torch.cat([s[k : k + parts].repeat(count), s[-1:]]) for k in (0, 1))
         of_parts = paths.segments()[0].repeat_interleave(parts, dim=0)
-        # And the pose at the end, of which nothing strays.
+        # And the pose at the end, where nothing strays.
         control = torch.cat([of_parts, of_parts[-1:]])
         x, _, r, _, margin = ops.arm_arcs(self._tables.on(device), control.contiguous(), paths.error, begin, end)
         margin = margin[:-1]
@@ -543,9 +544,9 @@ class Robot:
     def motion_validator(
         self, obstacles: Obstacles | None = None, *, resolution: float | None = None
     ) -> MotionValidator:
-        """A function of two configurations that says whether the straight motion in joint space between them is
-        certainly free of contact, as planners such as OMPL and MoveIt ask. False has several reasons, which `certify`
-        tells apart: also that links touch at the start, or that a value is not finite.
+        """A function of two configurations for planners such as OMPL and MoveIt: whether the straight motion in joint
+        space between them is certainly free of contact. False has several reasons, which `certify` tells apart, also
+        that links touch at the start or that a value is not finite.
 
         Args:
             obstacles, resolution: as for `pgccd.robots.certify`.

@@ -46,7 +46,7 @@ class ThickSurface:
         return replace(self, thickness=self.thickness + thickness)
 
     def scaled(self, scale: np.ndarray) -> ThickSurface:
-        """With coordinates multiplied by factors (3,), of triangles alone. Mirrored ones keep their outside."""
+        """With coordinates multiplied by factors (3,), of triangles alone. Mirrored surfaces keep their outside."""
         faces = self.faces[:, ::-1] if np.prod(np.sign(scale)) < 0.0 else self.faces
         return replace(self, vertices=self.vertices * scale, faces=np.ascontiguousarray(faces))
 
@@ -61,7 +61,7 @@ class ThickSurface:
         return mesh
 
     def widened(self, half: float) -> ThickSurface:
-        """With half the side of a square of 2 PLANE, in place of an infinite plane, as given."""
+        """The square in place of an infinite plane, with its half side of `PLANE` replaced by `half`."""
         return replace(self, vertices=self.centre + (self.vertices - self.centre) * (half / PLANE))
 
     @property
@@ -79,7 +79,7 @@ def of_file(mesh: Mesh, scale: np.ndarray) -> ThickSurface:
     """The surface of a mesh file, with coordinates multiplied by factors (3,).
 
     Raises:
-        ValueError: the file holds points or segments alone, between which a link would have nothing.
+        ValueError: the file holds only points or segments, which do not bound a link.
     """
     if mesh.triangle_count < len(mesh.faces):
         raise ValueError(f"expected a file of triangles, got {mesh!r}")
@@ -146,7 +146,7 @@ def height_field(heights: np.ndarray, half_x: float, half_y: float, base: float)
     number = np.arange(rows * columns).reshape(rows, columns)
     a, b, c, d = (number[i : rows - 1 + i, j : columns - 1 + j].ravel() for i, j in ((0, 0), (0, 1), (1, 1), (1, 0)))
     top = np.stack([x, y, heights], axis=2).reshape(-1, 3)
-    # The border, counter-clockwise seen from above, and below it that of the base with a point in its middle.
+    # The border, counter-clockwise seen from above, and below it the border of the base with a point in its middle.
     border = np.concatenate([number[0, :-1], number[:-1, -1], number[-1, :0:-1], number[:0:-1, 0]])
     below = len(top) + np.arange(len(border))
     middle = np.full_like(border, len(top) + len(border))
@@ -159,7 +159,7 @@ def height_field(heights: np.ndarray, half_x: float, half_y: float, base: float)
 
 
 def joined(surfaces: list[ThickSurface]) -> ThickSurface:
-    """Surfaces of equal thickness as one; all of infinite planes or none."""
+    """Surfaces of equal thickness as one; either all or none of them are infinite planes."""
     first = np.cumsum([0, *(len(each.vertices) for each in surfaces[:-1])])
     faces = [each.faces + begin for each, begin in zip(surfaces, first, strict=True)]
     vertices = np.concatenate([each.vertices for each in surfaces])

@@ -12,11 +12,11 @@ from pgccd.geometry.scene import Scene
 from pgccd.motion.differentiable import any_differentiated, with_gradient_of
 from pgccd.robots.kinematics import Tree
 
-#: Larger values of joints, radians or length units, have no poses.
+#: The largest value of a joint with poses, radians or length units.
 LARGEST_VALUE = 1e6
 #: Radians that a link may turn between two waypoints, the turns of all joints added.
 LONGEST_TURN = 1e4
-#: The bound of how far links stray from arcs holds for links that turn by at most so many radians, added in the same
+#: The bound of how far links stray from arcs holds for links that turn by at most this many radians, added in the same
 #: way: see docs/explanation/exactness.md, section 14.
 MOST_TURN = 1.0
 _KINDS = {"fixed": 0, "revolute": 1, "prismatic": 2}
@@ -73,7 +73,7 @@ class ArmTables:
         return position, orientation
 
     def turns(self, step: Tensor) -> Tensor:
-        """(K,): by how much bodies turn at most in steps (K, J), all joints added, rounded up; on a CPU."""
+        """(K,): the most that bodies turn in steps (K, J), all joints added, rounded up; on a CPU."""
         steps = step.cpu()
         joints = self._tree.joints
         most = steps.new_zeros(len(steps))

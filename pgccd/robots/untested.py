@@ -17,11 +17,11 @@ WhyUntested = Callable[[int, tuple[int, ...], int, tuple[int, ...]], str | None]
 
 @dataclass(frozen=True)
 class LeftOut:
-    """Pairs that are left out besides those of the file.
+    """Pairs that are left out in addition to those of the file.
 
     Attributes:
-        links: by the names of two links the reason.
-        with_obstacles: (link, obstacle): names of those that are allowed to touch.
+        links: the reason, by the names of two links.
+        with_obstacles: (link, obstacle): names of pairs that are allowed to touch.
     """
 
     links: Mapping[frozenset[str], str] = field(default_factory=dict)
@@ -29,7 +29,7 @@ class LeftOut:
 
     @classmethod
     def allowed(cls, pairs: Any, link_names: Sequence[str]) -> LeftOut:
-        """From the argument of `Robot.allow`: names that are not those of links are of obstacles.
+        """From the argument of `Robot.allow`: names of no link are names of obstacles.
 
         Raises:
             TypeError, ValueError: naming the argument.
@@ -55,7 +55,7 @@ class LeftOut:
         return cls(links, with_obstacles)
 
     def __add__(self, other: LeftOut) -> LeftOut:
-        """Both; of a pair that is in both the reason given first."""
+        """Both. A pair that is in both has the reason given first."""
         obstacles = dict.fromkeys([*self.with_obstacles, *other.with_obstacles])
         return LeftOut({**other.links, **self.links}, list(obstacles))
 
@@ -65,7 +65,7 @@ class LeftOut:
         return LeftOut(links, [pair for pair in self.with_obstacles if pair[0] != link])
 
     def check_obstacles(self, names: Sequence[str], link_names: Sequence[str]) -> None:
-        """Raises ValueError if the name of an obstacle is that of a link, or no obstacle has one that is allowed."""
+        """Raises ValueError if an obstacle has the name of a link, or no obstacle has a name that is allowed."""
         for name in names:
             if name in link_names:
                 raise ValueError(f"obstacles: names: {name!r} is the name of a link of the robot")

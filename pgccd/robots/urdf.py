@@ -27,7 +27,7 @@ _KINDS: dict[str, JointKind] = {
     "continuous": "revolute",
     "prismatic": "prismatic",
 }
-# Of SRDF files: what is read, and what says nothing of pairs of links. A pair is tested or not by its spelling.
+# Elements of SRDF files: those that are read, and those that say nothing about pairs of links.
 _PAIRS = ("disable_collisions", "enable_collisions", "disable_default_collisions")
 _OTHER_OF_SRDF = (
     *("group", "group_state", "end_effector", "virtual_joint", "passive_joint", "joint_property"),
@@ -44,33 +44,33 @@ def load_urdf(
     base_position: Sequence[float] = (0.0, 0.0, 0.0),
     base_orientation: Sequence[float] = (1.0, 0.0, 0.0, 0.0),
 ) -> Robot:
-    """A robot from a URDF file: one body a link with collision geometry, its origin at the link's joint.
+    """A robot from a URDF file: one body per link with collision geometry, its origin at the link's joint.
 
-    Meshes and boxes are taken as they are, in metres: lengths of mesh files that state a unit (Collada, 3MF) are
-    converted, their up axis turns nothing, and a mirrored scale keeps the outside outside. Cylinders are prisms around
+    Meshes and boxes are taken as they are, in metres. Lengths of mesh files that state a unit (Collada, 3MF) are
+    converted; their up axis turns nothing, and a mirrored scale keeps the outside outside. Cylinders are prisms around
     the cylinder, at most 0.13 % thicker; spheres are exact to 1.3e-9 of their radius.
 
-    Not tested are pairs of links that are rigidly joined, neighbours, and those that the SRDF file disables; see also
-    `Robot.untested` and `Robot.excluding_sampled`. The neighbour of a link is the first link with geometry above its
-    last moving joint, over links without geometry. Links that are rigidly joined have the same neighbours, but of those
-    that are fixed to the root only that first link is one: a wall that is fixed to the same root as an arm is tested
-    against it. A warning names pairs that are tested and touch where all joints are 0 (or at the limit that is nearest
-    to 0).
+    Pairs of links are not tested if they are rigidly joined, if they are neighbours, or if the SRDF file disables them;
+    see also `Robot.untested` and `Robot.excluding_sampled`. The neighbour of a link is the first link with geometry
+    above its last moving joint, past links without geometry. Links that are rigidly joined have the same neighbours,
+    with one exception: of the links that are fixed to the root, only that first link is a neighbour. A wall that is
+    fixed to the same root as an arm is therefore tested against the arm. A warning names pairs that are tested and
+    touch where all joints are 0 (or at the limit that is nearest to 0).
 
     Args:
         path: of the URDF file.
         srdf: an SRDF file, of which the elements disable_collisions, enable_collisions and disable_default_collisions
             are read.
         packages: folders by name, for files given as package://name/file or model://name/file. Default: the folder of
-            that name, or the file, is looked for in all folders above that of the URDF file.
+            that name, or the file, is looked for in all folders above the URDF file.
         base_position, base_orientation: pose of the root link in the world: (3,), and a unit quaternion (w, x, y, z).
 
     Raises:
         FileNotFoundError: a file does not exist.
         TypeError: naming the argument.
-        ValueError: a file cannot be read, has macros of xacro, or unknown elements or attributes in joints and
-            collision geometry; or it is no tree of fixed, revolute, continuous and prismatic joints; naming link or
-            joint.
+        ValueError: a file cannot be read, has macros of xacro, or has unknown elements or attributes in joints and
+            collision geometry; or, naming link or joint, it is no tree of fixed, revolute, continuous and prismatic
+            joints.
         ImportError: yourdfpy (extra `robots`) is not installed.
 
     Example:

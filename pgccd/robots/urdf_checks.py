@@ -1,5 +1,5 @@
-"""What a URDF file must say of its links and joints: without a word, readers take fewer numbers, or more, and leave out
-what they do not know.
+"""Checks of links and joints in URDF files. Readers silently take too few or too many numbers, and leave out what they
+do not know.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _SHAPES: dict[str, _Numbers] = {
 _LINK = ("collision",)
 _JOINT_PARTS = ("origin", "parent", "child", "axis", "limit", "mimic")
 _COLLISION = ("origin", "geometry")
-# Elements that are left out: of looks, forces and other programs. Others than these may be misspelt geometry.
+# Elements that are left out: of looks, forces and other programs. Any other element may be misspelt geometry.
 _OTHER_OF_ROBOT = ("frame", "gazebo", "material", "mujoco", "ros2_control", "sensor", "transmission")
 _OTHER_OF_LINK = (
     *("visual", "inertial", "audio_source", "collision_checking", "contact", "gazebo", "gravity", "kinematic"),
@@ -32,7 +32,7 @@ _OTHER_OF_LINK = (
 )
 _OTHER_OF_JOINT = ("calibration", "dynamics", "gazebo", "joint_properties", "safety_controller", "sensor")
 _OTHER_OF_COLLISION = ("gazebo", "material", "max_contacts", "surface", "verbose")
-# All attributes of the elements that are read. Those of limits that say nothing of the range come from real files.
+# All attributes of the elements that are read. Those of limits that do not state the range occur in real files.
 _ATTRIBUTES: dict[str, tuple[str, ...]] = {
     "origin": ("xyz", "rpy"),
     "parent": ("link",),
@@ -87,9 +87,9 @@ def _macros(path: Path, argument: str, where: str) -> ValueError:
 
 
 def refuse_unknown(element: Element, known: Iterable[str], where: str) -> None:
-    """Raises ValueError if an element has another one within it that is not known and has no namespace.
+    """Raises ValueError if an element contains an unknown one without a namespace.
 
-    Elements with a namespace are those of other programs.
+    Elements with a namespace belong to other programs.
     """
     for part in element:
         if part.tag not in known and not part.tag.startswith("{"):
@@ -133,7 +133,9 @@ def _is_at_rest(origin: Element | None) -> bool:
 
 
 def _check_parts(element: Element, names: Sequence[str], where: str) -> None:
-    """Of these parts one, or equal ones, as readers take the first one; with known attributes and nothing within."""
+    """Checks that there is one of these parts, or equal ones, since readers take the first; with known attributes and
+    nothing inside.
+    """
     parts = [part for part in element if part.tag in names]
     for name, count in Counter(part.tag for part in parts).items():
         kinds = {ElementTree.tostring(part).strip() for part in parts if part.tag == name}

@@ -24,11 +24,12 @@ class Motion:
     """What is known of a motion between two configurations.
 
     Attributes:
-        verdict: as of `certify`, but `COLLISION` is not told apart from `NEAR`.
+        verdict: as for `certify`, but `COLLISION` and `NEAR` are not told apart.
         free_until: the part of the motion, in [0, 1], before which it is certainly free of contact, as OMPL defines it:
-            1 only if all of it is, the goal included; 0 if the start is not, or the verdict is `UNDECIDED`.
-        names: of the link and of the link or obstacle that meet there; empty if nothing does.
-        point: (x, y, z) where they meet, world frame; nan if nothing does.
+            1 only if the whole motion is free, the goal included; 0 if the start is not free, or the verdict is
+            `UNDECIDED`.
+        names: of the link and of the link or obstacle that meet there; empty if nothing meets.
+        point: (x, y, z) where they meet, world frame; nan if nothing meets.
     """
 
     verdict: Verdict
@@ -40,9 +41,9 @@ class Motion:
 class MotionValidator:
     """Straight motions in joint space between two configurations, made by `Robot.motion_validator`.
 
-    Called with two configurations (J,), it says whether the motion between them is certainly free of contact. It runs
-    on a CPU. It keeps certified distances of pairs of bodies between calls; verdicts do not depend on them. One thread
-    uses it; `clone` makes another one for another thread. Calls release the global interpreter lock.
+    Call it with two configurations (J,): it returns whether the motion between them is certainly free of contact. It
+    runs on a CPU. It keeps certified distances of pairs of bodies between calls; verdicts do not depend on them. Each
+    thread needs a validator of its own, from `clone`. Calls release the global interpreter lock.
 
     Example:
         >>> is_valid = robot.motion_validator(obstacles)
@@ -53,10 +54,10 @@ class MotionValidator:
     def __init__(self, robot: Robot, obstacles: Obstacles | None, resolution: float | None) -> None:
         if isinstance(obstacles, Obstacles) and obstacles.environments not in (None, 1):
             expected = "obstacles of one environment, with poses (M, 3) and (M, 4)"
-            raise ValueError(f"obstacles: expected {expected}, got those of {obstacles.environments}")
+            raise ValueError(f"obstacles: expected {expected}, got {obstacles.environments} environments")
         if isinstance(obstacles, Obstacles) and obstacles.motion is not None:
             raise ValueError(
-                "obstacles: expected obstacles at rest: a motion alone does not say at which time it begins"
+                "obstacles: expected obstacles at rest, since a motion does not say at which time it begins"
             )
         search = PathSearch(robot, obstacles, resolution)
         self._names = [robot.link_names[link] for link in robot.body_link.tolist()]
@@ -82,12 +83,12 @@ class MotionValidator:
     def check(
         self, start: Tensor | Sequence[float], goal: Tensor | Sequence[float], *, budget: int | None = None
     ) -> Motion:
-        """Whether the motion is certainly free of contact, else until when, and what meets.
+        """Whether the motion is certainly free of contact; if not, until when it is free, and what meets.
 
         Args:
             start, goal: (J,) configurations.
-            budget: pairs of bodies that are tested over parts of the motion at most; the verdict is `UNDECIDED` if they
-                do not suffice. A free motion takes some ten. Default: any number.
+            budget: the largest number of tests of a pair of bodies over a part of the motion; if it does not suffice,
+                the verdict is `UNDECIDED`. A free motion takes some ten tests. Default: no limit.
 
         Raises:
             TypeError, ValueError: naming the argument.
@@ -122,13 +123,13 @@ class MotionValidator:
         return self.check(start, goal).free_until
 
     def check_states(self, q: Tensor | Sequence[Sequence[float]] | Sequence[float]) -> Tensor:
-        """Whether no two surfaces touch in configurations, each for itself.
+        """For each configuration, whether no two surfaces touch in it.
 
         Args:
             q: (K, J) configurations, or one, (J,).
 
         Returns:
-            (K,) bool, or () of one. False also where a value is not finite, or too large.
+            (K,) bool, or () for one configuration. False also where a value is not finite, or too large.
 
         Raises:
             TypeError, ValueError, RuntimeError: as `check`.
@@ -149,7 +150,7 @@ class MotionValidator:
         return valid.reshape(states.shape[:-1])
 
     def clone(self) -> MotionValidator:
-        """A validator of the same robot and obstacles, for another thread. It has learned nothing yet.
+        """A validator of the same robot and obstacles, for another thread. It starts without stored distances.
 
         Example:
             >>> another = robot.motion_validator(obstacles).clone()

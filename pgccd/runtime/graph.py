@@ -88,9 +88,10 @@ def _set(variable: ContextVar[T], value: T) -> Iterator[None]:
 
 @contextmanager
 def conditional(value: Tensor) -> Iterator[None]:
-    """A part of a graph that each replay runs only if `value` (1,) int64 is nonzero when it is reached. May be nested.
-    What it writes to tensors from outside is kept; without the part these keep their values. Outside of `capture`, or
-    where the driver does not support this, the part always runs; so do those of a graph after the first eight.
+    """A part of a graph that each replay runs only if `value` (1,) int64 is nonzero when the replay reaches it. May be
+    nested. If the part runs, what it writes to outside tensors is kept; if it does not, they keep their values. The
+    part always runs outside of `capture`, where the driver does not support conditional parts, and after the first
+    eight parts of a graph.
 
     Example:
         >>> change, count = torch.ones(1, dtype=torch.int64), torch.zeros(1)

@@ -8,14 +8,14 @@ import torch
 
 from pgccd import ops
 
-# A search on the second stream takes a quarter of a GPU's blocks. With as many as on the first one, of which few would
-# have work, it would keep that one waiting.
+# A search on the second stream takes a quarter of a GPU's blocks. With as many blocks as the first stream, few of which
+# would have work, it would keep the first stream waiting.
 _SHARE = 4
 
 
 class SideStream:
-    """A second, high-priority stream of a GPU, for work that other ranks may wait for, less than that of the current
-    stream. On a CPU, or unless wanted, everything runs in order.
+    """A second, high-priority stream of a GPU, for work that other ranks may wait for and that is less than the work of
+    the current stream. On a CPU, or unless wanted, everything runs in order.
 
     It starts after work already enqueued on the current stream. Memory allocated on it is reused by it: every use by
     the current stream precedes the next side stream, so nothing is overwritten. Memory allocated on the current stream

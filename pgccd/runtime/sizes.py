@@ -43,11 +43,11 @@ class Capacity:
     """
 
     def __init__(self, *given: Never, **named: Never) -> None:
-        raise TypeError("Capacity: it is made by Capacity.of(body_count), or taken from Stats.needed")
+        raise TypeError("Capacity: make it by Capacity.of(body_count), or take it from Stats.needed")
 
     @classmethod
     def of(cls, body_count: int, pair_count: int | None = None, self_vertex_count: int = 0) -> Capacity:
-        """For a first step: nearly twice the capacity that the nanorobot simulation and folded cloth need.
+        """A capacity for a first step: nearly twice what the nanorobot simulation and folded cloth need.
 
         Args:
             body_count: bodies of the scene.
@@ -88,10 +88,7 @@ class Capacity:
 
 @dataclass(frozen=True, repr=False)
 class BufferSizes(Capacity):
-    """A capacity as stages know it.
-
-    On a CPU only pairs and contacts can overflow; the rest is scratch memory of a GPU.
-    """
+    """A capacity with its parts, for stages."""
 
     pairs: int  #: body pairs of the PCS
     contacts: int  #: rows of the result
@@ -196,8 +193,8 @@ class CapacityError(RuntimeError):
     """A step exceeded its capacity.
 
     Attributes:
-        capacity: that of the step.
-        needed: a lower bound of what it takes: stages after the first overflow saw only part of the work.
+        capacity: of the step.
+        needed: a lower bound of what the step needs: stages after the first overflow saw only part of the work.
         larger: a capacity for the next attempt.
 
     Example:
@@ -217,7 +214,7 @@ class CapacityError(RuntimeError):
             if getattr(needed, name) > getattr(capacity, name)
         ]
         super().__init__(capacity, needed)
-        self._message = f"capacity: the step needs more: {', '.join(short)}; CapacityError.larger may do"
+        self._message = f"capacity: the step needs more: {', '.join(short)}; CapacityError.larger may suffice"
         self.capacity, self.needed = capacity, needed
 
     @property

@@ -1,8 +1,7 @@
 """The contacts that a solver must respond to.
 
-Of a pair whose first contact recedes the contacts are not all listed: they are searched for in windows of time that
-grow, until one is not certain to recede. What certainly recedes is proved by an operator
-(csrc/kernels/contacts/recession_item.h).
+If the first contact of a pair recedes, later ones are searched for in growing windows of time, until one is not certain
+to recede. An operator proves that contacts recede (csrc/kernels/contacts/recession_item.h).
 """
 
 from __future__ import annotations
@@ -34,12 +33,12 @@ from pgccd.search.trajectories import of_trajectory
 
 C = TypeVar("C", bound=Contacts)
 
-# The first window ends at the first contact, of bodies with fewer pairs of faces than this it is the whole step. By how
-# much later ones are longer than those before, and the part of the step that the second one has at least.
+# The first window ends at the first contact. For bodies with fewer pairs of faces than this it is the whole step. Then:
+# the factor by which each window is longer than the one before, and the least part of the step that the second one has.
 _FEW_FACES = 1 << 12
 _LONGER = 8.0
 _SECOND_WINDOW = 1.0 / 8.0
-# Pairs that are searched together at first, and candidates that they should have.
+# Number of pairs in the first batch, and of candidates that a batch should have.
 _PAIRS = 32
 _CANDIDATES = 1 << 18
 # By how much later batches of pairs are larger.
@@ -50,25 +49,25 @@ def approaching(
     scene: Scene, motion: RigidMotion | VertexMotion | Trajectory, hits: C, slack: float | None = None
 ) -> C:
     """The contacts that a solver must respond to: those whose surfaces may come closer after toi, by more than `slack`.
-    Of report="first" the first such contact of each pair: pairs whose first contact rests, slides or recedes are
+    For report="first", the first such contact of each pair: pairs whose first contact rests, slides or recedes are
     searched again for later ones.
 
-    Contacts are left out only where this is certain for the whole rest of the step, so none that approaches is; of
-    bodies that turn some that do not may be left in. `UNRESOLVED` contacts and intersections (`EF_AB`, `EF_BA`) always
-    stay in.
+    A contact is left out only if it certainly does not approach in the whole rest of the step. No approaching contact
+    is left out; some that do not approach may stay in if bodies turn. `UNRESOLVED` contacts and intersections (`EF_AB`,
+    `EF_BA`) always stay in.
 
     Args:
-        scene, motion: with which `detect` found the contacts, unchanged.
+        scene, motion: those that `detect` found the contacts with, unchanged.
         hits: contacts of `detect` without a capacity, on the scene's device.
-        slack: length >= 0. Default: the tolerance of the detection; if none was given 1e-6 of the smaller SBV radius of
-            each pair, that of a sphere included.
+        slack: length >= 0. Default: the tolerance of the detection; if none was given, 1e-6 of the smaller SBV radius
+            of each pair (for a sphere, of its radius).
 
     Returns:
-        Contacts, of a trajectory TrajectoryContacts. Synchronises with a GPU.
+        Contacts; for a trajectory, TrajectoryContacts. Synchronises with a GPU.
 
     Raises:
         TypeError, ValueError: naming the argument; also if the report was "earliest", which leaves out the contacts of
-            other pairs, or the contacts are those of a capacity, of ranks or from a state_dict.
+            other pairs, or the contacts come from a capacity, from ranks or from a state_dict.
 
     Example:
         >>> ahead = pgccd.approaching(scene, motion, hits)  # resting on a floor: the wall ahead
@@ -77,12 +76,12 @@ def approaching(
     if isinstance(hits, Contacts) and hits._is_earliest:
         raise ValueError(
             'report: "earliest" leaves out the contacts of other pairs; ask for "first" or "all", and then for the '
-            "earliest of those that approach"
+            "earliest approaching one"
         )
     options = hits._found_with if isinstance(hits, Contacts) else {}
     if options is None:
         raise ValueError(
-            "hits: were not found by `detect` without a capacity, so they do not tell how to search for later ones"
+            "hits: expected contacts of `detect` without a capacity, whose options a search for later ones needs"
         )
     slack = options.get("tolerance") if slack is None else arguments.length(slack, "slack")
     copies, steps, bodies = moving_bodies(scene, motion, hits)
@@ -105,7 +104,7 @@ class Recession:
 
     Attributes:
         scene, motion: without gradients.
-        slack: (N,), of each body; the smaller one of two counts.
+        slack: (N,), of each body; for a pair, the smaller one counts.
     """
 
     scene: Scene
@@ -114,13 +113,13 @@ class Recession:
 
     @classmethod
     def of(cls, scene: Scene, motion: RigidMotion | VertexMotion, slack: float | None) -> Recession:
-        """Of bodies; slack None: 1e-6 of the size."""
+        """The proof for bodies; slack None: 1e-6 of the size."""
         radius = scene._detached()._size
         slacks = RELATIVE_TOLERANCE * radius if slack is None else torch.full_like(radius, slack)
         return cls(scene._detached(), motion._detached(), slacks)
 
     def surface_normals(self, contacts: Contacts, bodies: Tensor) -> Tensor:
-        """(K, 3): as of normals="surface", of contacts of bodies (K, 2)."""
+        """(K, 3): normals as with normals="surface", for contacts of bodies (K, 2)."""
         return ops.surface_normals(*operands(self.scene, self.motion, bodies, contacts))
 
     def is_certain(self, contacts: Contacts, bodies: Tensor) -> Tensor:
@@ -136,8 +135,8 @@ def _later(
     recession: Recession,
     options: dict[str, Any],
 ) -> C | None:
-    """Of pairs whose first contacts `hits` recede the first that is not certain to, of those that have one; None: none
-    has.
+    """For pairs whose first contact, in `hits`, recedes: their first contact that is not certain to recede. None if no
+    pair has one.
     """
     names = ("tolerance", "nonzero_toi", "initial")
     separation = separation_value(options["min_separation"])
@@ -219,7 +218,7 @@ class _Search:
         Args:
             toi: (P,) of the first contact of each.
         """
-        # The end of the window before and of this one, and how many contacts until the former recede.
+        # The ends of this window and of the one before, and how many contacts within the one before recede.
         scene = self.bodies.scene
         faces = scene.meshes.offsets.diff(dim=0)[:, 1].to(pairs.device)[scene.mesh_index.long()][pairs].prod(1)
         until = torch.where(faces < _FEW_FACES, 1.0, toi)
@@ -233,7 +232,7 @@ class _Search:
                 contacts, place, candidates = self._until(pairs[chosen], until[chosen])
                 early = contacts.toi <= before[chosen][place]
                 count = torch.bincount(place[early], minlength=len(chosen))
-                # Unless now more are found until then.
+                # Known unless more contacts are now found in that window.
                 is_known = early & (count == receding[chosen])[place]
                 receding[chosen] = torch.bincount(place, minlength=len(chosen))
                 rows = self._first(contacts, place, is_known, len(chosen))
@@ -256,14 +255,14 @@ class _Search:
         return contacts[chosen], place[chosen], len(candidates)
 
     def _first(self, contacts: Contacts, place: Tensor, is_known: Tensor, count: int) -> Tensor:
-        """Rows of the first contacts that are not certain to recede, of those of `count` pairs that have one.
+        """Rows of the first contacts that are not certain to recede, one for each of `count` pairs that has one.
 
         Args:
             contacts: K.
             place: (K,) the row of their pair.
             is_known: (K,) bool: contacts that are known to recede.
         """
-        # Some are in without a test.
+        # These stay in without a test.
         stays = (contacts.kind > Kind.EE) | (contacts.status != Status.TOUCH)
         first = torch.full((count,), torch.inf, dtype=torch.float64, device=place.device)
         first = first.scatter_reduce(0, place[stays], contacts.toi[stays], "amin")
@@ -286,7 +285,7 @@ def _distinct(pairs: Tensor, count: int) -> tuple[Tensor, Tensor]:
 
 
 def _joined(one: C, other: C) -> C:
-    """Contacts with one row for each pair, and others of other pairs, in the order of pairs."""
+    """Contacts with one row for each pair, joined with contacts of other pairs, in the order of pairs."""
     other = replace(other, _bodies=one._bodies, _found_with=one._found_with)
     both = type(one).cat([one, other])
     pairs = both.pairs

@@ -28,7 +28,7 @@ class MovingBodies:
         linear_path: whether vertices move on straight lines instead of arcs.
         deforming: whether the bodies are given by their vertices.
         tensors: the operators' `bodies` argument. Entries 1 to 3: positions at t0 and t1 (N, 3), of the origins or, for
-            deforming bodies, of the SBV centres; and SBV radius (N,), -inf of rigid bodies with an invalid value.
+            deforming bodies, of the SBV centres; and SBV radius (N,), -inf for rigid bodies with an invalid value.
         centre_t0, centre_t1, reach: (N, 3), (N, 3), (N,) float64: the swept spheres that broad phases test. At every t
             the body and its margin are within `reach` of the point at fraction t of the way from `centre_t0` to
             `centre_t1`, its SBV centres at t0 and t1.
@@ -56,7 +56,7 @@ class MovingBodies:
         self.deforming = deforming
         thickness = scene._thickness
         self.tensors = tensors if thickness is None else [*tensors, thickness]
-        # What is invalid, as `_validation` understands it. None: nothing is.
+        # Which rows are invalid, for `_validation`. None: none is.
         self._invalid_rows = invalid_rows
         _, self.centre_t0, self.centre_t1, self.reach, *_ = tensors
         self.boxes: Tensor | None = None
@@ -100,9 +100,9 @@ class MovingBodies:
 
         Args:
             meshes: of the bodies.
-            columns: "mesh_index" (N,), those of a `RigidMotion` or `VertexMotion` by the names of their attributes,
-                and optional ones of a `Scene`; for rigid bodies also "radius" (N,), if it is not that of the mesh
-                (negative: no pair contains the body). Others are ignored.
+            columns: "mesh_index" (N,), those of a `RigidMotion` or `VertexMotion` by the names of their attributes, and
+                optional columns of a `Scene`; for rigid bodies also "radius" (N,), if it differs from the radius of the
+                mesh (negative: no pair contains the body). Other names are ignored.
             linear_path: as for a motion with path="linear".
 
         Example:
@@ -143,9 +143,9 @@ class MovingBodies:
         return self.centre_t0, self.centre_t1, self.reach, *filters, in_other_search, self.boxes
 
     def stoppable(self) -> MovingBodies:
-        """The same rigid bodies, with spheres and boxes that contain them wherever on their way they are stopped or
-        slowed down: a shortened path is rounded (docs/explanation/exactness.md, section 12). Those about origins do
-        already.
+        """The same rigid bodies, with spheres and boxes that contain them wherever they are stopped or slowed down on
+        their way: a shortened path is rounded (docs/explanation/exactness.md, section 12). Spheres about origins
+        contain them already.
         """
         if self.scene.meshes.is_centred:
             return self

@@ -47,8 +47,8 @@ def sweep(
     Returns:
         (P, 2) int64: every pair i < j that the scene's filters allow and whose swept spheres come within min_separation
         + tolerance (rounded outward by some 1e-13 of their size), and (i, i) for every body tested against itself;
-        sorted. Of bodies that fill little of their SBV, such as rods, boxes that move with them must come so near too
-        (rounded outward by some 1e-5 of their size).
+        sorted. For bodies that fill little of their SBV, such as rods, boxes that move with the bodies must come within
+        the same distance too (rounded outward by some 1e-5 of their size).
 
     Raises:
         TypeError, ValueError: naming the argument.
@@ -156,9 +156,9 @@ def find_pairs_padded(
         capacity: of the pairs and of the broad phase's buffers.
         invalid: (1,) int64; if nonzero, no pairs are returned.
         in_other_search: (N,) uint8, nonzero for bodies whose pairs with each other another search finds: left out here.
-        at_any_times: whether to return all pairs that may come so near at two times, equal or not, each of one body:
-            those that may collide if bodies are stopped or slowed down anywhere on their way. The PCS is among them.
-            The bodies are `MovingBodies.stoppable`.
+        at_any_times: whether to return all pairs that may come so near with each body at a time of its own, that
+            is, pairs that may collide if bodies are stopped or slowed down anywhere on their way. The PCS is among
+            them. The bodies are `MovingBodies.stoppable`.
 
     Returns:
         (capacity.pairs, 2) int64, the pairs first, then rows of -1; and counts (7,) int64: the first seven of

@@ -81,7 +81,7 @@ class _Captured(Generic[R, P]):
         if type(motion) is not type(self.motion):
             raise TypeError(f"motion: expected a {type(self.motion).__name__}, got {arguments.describe(motion)}")
         if isinstance(motion, RigidMotion) and motion.path != self.motion.path:  # type: ignore[union-attr]
-            raise ValueError(f"motion: its path is {motion.path!r}, that captured {self.motion.path!r}")  # type: ignore[union-attr]
+            raise ValueError(f"motion: expected path {self.motion.path!r} as captured, got {motion.path!r}")  # type: ignore[union-attr]
         given = motion.columns()
         for name, column in self.motion.columns().items():
             if given[name].shape != column.shape or given[name].device != column.device:
@@ -92,12 +92,12 @@ class _Captured(Generic[R, P]):
             column.copy_(given[name])
 
     def replay(self) -> P:
-        """Detects the collisions of the loaded motion. Waits for the call before the last, and synchronises to capture
-        the graph. The next call overwrites the result, or returns one in new memory.
+        """Detects the collisions of the loaded motion. Waits for the call before the last, and synchronises if it
+        captures the graph. The next call overwrites the result, or returns one in new memory.
 
         Raises:
-            ValueError: a pose was invalid in the call before the last or, without a given capacity, is in the first;
-                or the first step does not fit in memory in one pass.
+            ValueError: a pose was invalid in the call before the last or, without a given capacity, is invalid in the
+                first call; or the first step does not fit in memory in one pass.
             CapacityError: the call before the last needs more than the largest capacity.
         """
         self._begin_call()
@@ -184,7 +184,7 @@ class _Captured(Generic[R, P]):
             self._graph = None
 
     def _inputs(self) -> list[object]:
-        """What a graph has captured for good. Rows of vertices follow from `mesh_index`."""
+        """Inputs that a graph has captured for good. Rows of vertices follow from `mesh_index`."""
         scene, motion = self.scene, self.motion
         columns = [getattr(scene, name) for name in ("mesh_index", "self_collision", *OPTIONAL_COLUMNS)]
         written = None if scene.mesh_index.is_inference() else scene.mesh_index._version
@@ -211,14 +211,14 @@ class CapturedDetection(_Captured[Contacts, PaddedContacts]):
     """`pgccd.detect` for the steps of a loop: poses are loaded into fixed memory, one CUDA graph is replayed, and
     contacts are read from fixed memory. The result is bitwise equal to that of `detect`.
 
-    The graph is captured by the first call, which takes longer and synchronises. On a CPU there is none: each call runs
+    The first call captures the graph, so it takes longer and synchronises. On a CPU there is no graph: each call runs
     `detect` with the same capacity (`is_graph` is False).
 
     Each call of `__call__` or `replay` first reads the counts of the call before the last, which a GPU has usually
-    finished. If that exceeded a capacity, the graph is captured again with a larger one; if a pose was invalid, a
-    ValueError names body and column. So this happens at the same call in every run, on every device. Until then an
-    incomplete result reads as contact at the start of the step, see `PaddedContacts`: a loop that moves bodies by
-    `first_toi` stands still for such a step, and goes on once the capacity suffices.
+    finished. If that call exceeded a capacity, the graph is captured again with a larger one. If one of its poses was
+    invalid, a ValueError names body and column. Both happen at the same call in every run, on every device. Until then
+    an incomplete result reads as a contact at the start of the step, see `PaddedContacts`: a loop that moves bodies by
+    `first_toi` stands still for such a step, and goes on when the capacity suffices.
 
     Args:
         scene: the bodies. Its columns are read at each call and may be written. If columns of the scene or of `motion`
@@ -231,7 +231,7 @@ class CapturedDetection(_Captured[Contacts, PaddedContacts]):
 
     Attributes:
         scene: the bodies.
-        motion: the motion read by each replay, in fixed memory: written by `load`, or by kernels of the caller.
+        motion: the motion that each replay reads, in fixed memory. `load`, or kernels of the caller, write to it.
         capacity: of the result and of all intermediate lists; None before the first replay, unless it was given.
 
     Raises:
@@ -259,11 +259,11 @@ class CapturedDetection(_Captured[Contacts, PaddedContacts]):
         narrow.check_report(report, "pgccd.CapturedCollision")
         _check_options(report, min_separation, options, DetectOptions)
         if options.get("normals", "features") != "features":
-            raise ValueError(f'normals: captured steps have those of the "features", got {options["normals"]!r}')
+            raise ValueError(f'normals: expected "features" for captured steps, got {options["normals"]!r}')
         super().__init__(scene, motion, {"report": report, "min_separation": min_separation, **options}, capacity)
 
     def contacts(self) -> Contacts:
-        """A copy of the contacts of the last call; replays first if there was none. Synchronises. If a capacity was
+        """A copy of the contacts of the last call; replays first if there was no call. Synchronises. If a capacity was
         exceeded, the step is captured again with a larger one, and replayed.
 
         Raises:
@@ -273,8 +273,8 @@ class CapturedDetection(_Captured[Contacts, PaddedContacts]):
 
 
 class CapturedCollision(_Captured[CollidingPairs, PaddedCollidingPairs]):
-    """`pgccd.collide` for the steps of a loop, as `CapturedDetection` is `pgccd.detect`: one CUDA graph is replayed. An
-    incomplete result reads as one in which all bodies collide, see `PaddedCollidingPairs`.
+    """`pgccd.collide` for the steps of a loop, by replays of one CUDA graph: see `CapturedDetection`. An incomplete
+    result reads as if all bodies collide, see `PaddedCollidingPairs`.
 
     Args:
         scene, motion, capacity: as for `CapturedDetection`.

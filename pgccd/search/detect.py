@@ -102,46 +102,47 @@ def detect(
     Nothing is missed: if the surfaces of two bodies come within min_separation at some t in [0, 1] on the paths the
     motion defines, a contact is reported, and its toi is not later than that t. A surface is the union of its closed
     triangles. Surfaces that are disjoint at t = 0 first meet where a vertex meets a face or two edges meet; surfaces
-    that intersect at t = 0 are reported with toi 0 (kinds `EF_AB` and `EF_BA` where an edge passes through a face).
-    The same holds within a body that deforms (`VertexMotion`) and has `self_collision` set in the scene, for features
-    that share no vertex; such contacts have the pair (i, i). A body of which a connected piece is inside of a solid
-    (`Mesh(solid=True)`) at t = 0 touches the solid, with kind `INSIDE` and toi 0. A body inside of one that is no solid
-    touches nothing: see `pgccd.enclosed`.
+    that intersect at t = 0 are reported with toi 0 (kinds `EF_AB` and `EF_BA` where an edge passes through a face). The
+    same holds within a body that deforms (`VertexMotion`) and has `self_collision` set in the scene, for features that
+    share no vertex; such contacts have the pair (i, i). If a connected piece of a body is inside of a solid
+    (`Mesh(solid=True)`) at t = 0, the body touches the solid, with kind `INSIDE` and toi 0. A body inside of a body
+    that is no solid touches nothing: see `pgccd.enclosed`.
 
     If columns of the motion, margins or min_separation (then a tensor ()) require grad, so do the times, points,
-    coordinates and normals of the contacts: see docs/how-to/gradients.md. The bits of the result do not depend on it.
+    coordinates and normals of the contacts: see docs/how-to/gradients.md. Gradients do not change the bits of the
+    result.
 
     Args:
         scene: the bodies.
-        motion: their paths. All segments of a `Trajectory` are tested in one call: "first" is then the first contact of
-            each pair over all segments, "earliest" that of the scene, and "all" the contacts of every segment;
-            `capacity` may not be given.
+        motion: their paths. All segments of a `Trajectory` are tested in one call: "first" then finds the first contact
+            of each pair over all segments, "earliest" the first contact of the scene, and "all" the contacts of every
+            segment. `capacity` may not be given then.
         report: "first": the earliest contact of each pair (of equal toi the smallest kind and features). "all": every
             touching feature pair. "earliest": the first contact of the scene; its toi is the largest collision-free
-            fraction of the step. Which pairs collide, without contacts, `pgccd.collide` finds in less time.
-        min_separation: length >= 0. Bodies may have margins besides, see `Scene`.
-        tolerance: a reported contact comes within min_separation + tolerance (length). Default: 1e-6 of the smaller
-            SBV radius of each pair; a point, such as a sphere, has its thickness and margin for one.
+            fraction of the step. `pgccd.collide` finds only which pairs collide, in less time.
+        min_separation: length >= 0. Margins of bodies add to it, see `Scene`.
+        tolerance: a reported contact comes within min_separation + tolerance (length). Default: 1e-6 of the smaller SBV
+            radius of each pair; for a point, such as a sphere, its thickness and margin count as its SBV radius.
         nonzero_toi: never report toi = 0 for a pair that starts further apart than min_separation (beyond rounding).
         initial: "report": surfaces that intersect and bodies inside of solids at t = 0 are reported. "assume_free": the
-            caller guarantees that there are none, for example because a previous step ended before its first contact;
-            the tests are left out.
+            caller guarantees that there are none, for example because the previous step ended before its first contact.
+            The tests for them are skipped.
         normals: "features": `Contacts.normal` is the direction between the nearest points of the two features. Where a
-            body slides over an edge between coplanar faces, that may be any. "surface": it is replaced by the nearest
-            direction that the faces around these points admit: of a flat or concave edge the normal of a face, of a
-            convex one anything between those of its two faces, which features have. All other columns stay. Costs time
-            and memory proportional to contacts; not with a capacity, nor where an input requires grad. See
-            docs/how-to/solver.md.
+            body slides over an edge between coplanar faces, that may be any direction. "surface" replaces it by the
+            nearest direction that the faces around these points admit. At a flat or concave edge, that is the normal of
+            a face; at a convex edge, any direction between the normals of its two faces, so nothing changes there.
+            Other columns do not change. Costs time and memory proportional to the number of contacts. Not available
+            with a capacity, or if an input requires grad. See docs/how-to/solver.md.
         broad_phase: how the PCS is found: "sweep", "grid", "lbvh", or "auto", which chooses by number and sizes of the
             bodies (see `stats`). The result does not depend on it.
         pairs: (P, 2) int64, i < j (or i, i for a body tested against itself), sorted and unique: test only these body
-            pairs, without a broad phase; of a trajectory, in each of its segments. The scene's filters and `exclude`
+            pairs, without a broad phase; for a trajectory, in each of its segments. The scene's filters and `exclude`
             are not applied to them.
         memory_budget: bytes of scratch memory to aim at; the PCS is streamed in chunks to respect it. Default 1 GiB,
             or a quarter of what is free on a GPU if that is more. The result does not depend on it.
-        capacity: of the result and of all intermediate lists. Then sizes are fixed and the call does not synchronise,
-            so that it can be captured by `torch.cuda.graph` and compiled by `torch.compile(fullgraph=True)`. If a
-            capacity was exceeded or a pose is invalid, the result reads as contact at the start of the step, until
+        capacity: of the result and of all intermediate lists. With it, sizes are fixed and the call does not
+            synchronise, so it can be captured by `torch.cuda.graph` and compiled by `torch.compile(fullgraph=True)`. If
+            a capacity was exceeded or a pose is invalid, the result reads as contact at the start of the step, until
             `trim` raises: see `PaddedContacts`. (For deforming bodies, call it once before capturing.)
 
     Returns:
@@ -151,7 +152,7 @@ def detect(
 
     Raises:
         ValueError, TypeError: naming the argument; also if an input requires grad and a capacity is given. A
-            UserWarning names a scene whose only body is not tested against itself.
+            UserWarning says that the scene has one body, if that body is not tested against itself.
 
     Example:
         >>> hits = pgccd.detect(scene, pgccd.RigidMotion(x0, q0, x1, q1), report="earliest")
@@ -248,8 +249,8 @@ def collide(
     """Finds the pairs of bodies that collide during one step, or in any step of a trajectory (Alg. 2 of Du, Liu &
     Suzumura 2017), without the times and places of their contacts.
 
-    These are the pairs that have contacts in `pgccd.detect`, which proves the same and takes the same arguments. The
-    search of a pair ends with the first pair of features that certainly touches at any time, not with the first time.
+    These are the pairs that have contacts in `pgccd.detect`, with the same guarantee. The search of a pair ends when
+    some pair of features certainly touches at some time; it does not look for the first time.
 
     Args:
         scene: the bodies.
@@ -261,8 +262,8 @@ def collide(
         Synchronises with a GPU as `pgccd.detect` does.
 
     Raises:
-        ValueError, TypeError: naming the argument. A UserWarning names a scene whose only body is not tested against
-            itself.
+        ValueError, TypeError: naming the argument. A UserWarning says that the scene has one body, if that body is not
+            tested against itself.
 
     Example:
         >>> colliding = pgccd.collide(scene, motion)
@@ -346,7 +347,7 @@ def detect_moving(
     Args:
         bodies: on a CPU already validated.
         query, broad_phase, memory_budget: as for `detect`.
-        pairs: (P, 2) int64, or None. Where bodies have ids that rows do not follow, the body named first is i.
+        pairs: (P, 2) int64, or None. Where bodies have ids in another order than rows, the first body of a pair is i.
     """
     on_cpu = bodies.device.type == "cpu"
     in_one_pass = _detect_exactly if on_cpu else _detect_in_capacity

@@ -34,17 +34,19 @@ class Distances(Rows):
     Attributes:
         pairs: (K, 2) int64, i < j.
         lower: (K,) float64 >= 0, length: the surfaces are never nearer than this.
-        upper: (K,) float64, length: at `time` they are at most this far apart. 0 if they intersect there, or touch with
-            their margins; inf if `lower` is above the cutoff, or if the search ended before it found any.
+        upper: (K,) float64, length: at `time` the surfaces are at most this far apart. 0 if they intersect then, or
+            touch with their margins; inf if `lower` is above the cutoff, or if the search ended before it found a
+            bound.
         time: (K,) float64 in [0, 1], along the whole motion; nan where `upper` is inf. If several times and points are
-            equally near within the tolerance, these are of any of them.
+            equally near within the tolerance, `time` and `points` are of any one of them.
         points: (K, 2, 3) float64, world frame: a point of the surface of i and one of j at `time`, on the meshes, not
-            their margins; nan where `upper` is inf. Not certified: rounded, as world coordinates are. Where surfaces
-            intersect, both are the same point, up to rounding, of the intersection.
-        converged: (K,) bool: whether `upper` - `lower` is at most the tolerance, or `lower` above the cutoff.
+            their margins; nan where `upper` is inf. Not certified: rounded like world coordinates. Where surfaces
+            intersect, both are the same point of the intersection, up to rounding.
+        converged: (K,) bool: whether `upper` - `lower` is at most the tolerance, or `lower` is above the cutoff. False
+            in rows whose search stopped early, because of rounding or of its limit of work.
         inside: (K,) bool: whether a connected piece of one body is inside of the other, a solid, at the start of the
-            motion, or of a segment, and no surfaces touch there. The distance is then 0, at that time; `points` are the
-            contact's of kind `INSIDE`.
+            motion or of a segment, without touching its surface. The distance is then 0, at that time, and `points` are
+            those of the contact of kind `INSIDE`.
 
     Example:
         >>> near = pgccd.distance(scene, motion, cutoff=0.1)
@@ -71,18 +73,18 @@ class Distances(Rows):
     }
 
     def of_bodies(self, owner: int | Tensor | Sequence[int]) -> tuple[Tensor, Tensor]:
-        """Bounds of the least distance of each body from all others; or of each link, or other group of bodies, from
-        the bodies outside of it.
+        """Bounds of the least distance of each body from all others; or of each group of bodies, such as a link, from
+        the bodies outside of the group.
 
         Args:
             owner: N, the number of bodies; or (N,) integers >= 0: the group of each body.
 
         Returns:
-            lower, upper: (G,) float64, length, by body or group. inf where no pair is listed: it is further than the
-            cutoff from all that was asked for.
+            lower, upper: (G,) float64, length, by body or group. inf where no pair is listed: all other bodies that
+            were asked for are further away than the cutoff.
 
         Raises:
-            TypeError, ValueError: `owner` is neither, or has too few bodies for the pairs.
+            TypeError, ValueError: `owner` is neither of these, or has too few bodies for the pairs.
 
         Example:
             >>> near = pgccd.distance(scene, motion, cutoff=0.1)
@@ -120,29 +122,30 @@ def distance(
     pairs: Tensor | None = None,
     tolerance: float | None = None,
 ) -> Distances:
-    """How near bodies come to one another during a motion: a lower and an upper bound of the least distance of their
-    surfaces at equal times, both certified, and where and when the upper one is attained.
+    """How near bodies come to one another during a motion. Finds a lower and an upper bound of the least distance of
+    their surfaces at equal times, both certified, and where and when the upper bound is attained.
 
-    Bodies that stand still relative to each other, as with `RigidMotion.at_rest`, have the distance of their poses, to
-    within rounding. The distance is that of surfaces, less the margins of both bodies: 0 if they intersect or touch,
-    not the depth of penetration. It is also 0 from a solid that a connected piece of a body is inside of; a body inside
-    of one that is no solid has the distance of both surfaces. Bodies have no distance from themselves.
+    The distance is that of surfaces, less the margins of both bodies. It is 0 if they intersect or touch, not the depth
+    of penetration, and 0 if a connected piece of one body is inside of the other, a solid. If the other body is no
+    solid, it is the distance of both surfaces. For bodies that stand still relative to each other, as with
+    `RigidMotion.at_rest`, it is the distance in their poses, to within rounding. Bodies have no distance from
+    themselves.
 
     Args:
         scene: the bodies.
-        motion: their paths; of a `Trajectory`, over all of its segments.
+        motion: their paths; with a `Trajectory`, all of its segments.
         cutoff: length >= 0: larger distances do not matter. Required unless `pairs` are given.
         pairs: (P, 2) int64, i < j, in any order: the pairs to measure, each a row of the result. The scene's filters
-            and `exclude` are not applied to them. Default: all pairs that they allow and that may come within the
-            cutoff.
-        tolerance: length: a search ends once its bounds are so close, or it has done the work of about a second on a
-            CPU. Rounding limits it to some 1e-12 of the size and offset of the bodies; see `Distances.converged`.
+            and `exclude` are not applied to them. Default: all pairs that the filters allow and that may come within
+            the cutoff.
+        tolerance: length: a search ends when its bounds differ by at most this, or after the work of about a second on
+            a CPU. Rounding limits it to some 1e-12 of the size and offset of the bodies; see `Distances.converged`.
             Default: 1e-6 of the smaller radius of each pair, SBV radius and margin. Costs grow slowly as it decreases,
             unless bodies are equally near in very many places, such as one that turns within another.
 
     Returns:
-        Distances, on the scene's device: a row for each of the given pairs, or for those that are not certainly further
-        apart than the cutoff, sorted. Synchronises with a GPU.
+        Distances, on the scene's device: a row for each of the given pairs, or for all pairs that are not certainly
+        further apart than the cutoff, sorted. Synchronises with a GPU.
 
     Raises:
         TypeError, ValueError: naming the argument; also if neither `cutoff` nor `pairs` are given, or an input requires
@@ -199,7 +202,7 @@ def _of_step(
 
 
 def _inside_at_start(scene: Scene, motion: RigidMotion | VertexMotion, pairs: Tensor) -> tuple[Tensor, Tensor]:
-    """(P,) bool: the pairs (P, 2) of which a piece of one body is inside of the other, and no surfaces touch; and a
+    """(P,) bool: the pairs (P, 2) in which a piece of one body is inside of the other, and no surfaces touch; and a
     vertex of the piece (P, 3).
     """
     asked, row = torch.unique(pairs, dim=0, return_inverse=True)
@@ -232,7 +235,7 @@ def _along(scene: Scene, trajectory: Trajectory, cutoff: float, pairs: Tensor | 
     rows = earliest_of_each(owner, len(pairs), found.upper)
     nearest, segment = _rows(found, rows), segment[rows]
     time = torch.where(torch.isnan(nearest.time), nearest.time, time_along(segment, nearest.time, segments))
-    # Segments in which the bodies are further apart need not have ended.
+    # Searches of segments in which the bodies are further apart need not have converged.
     are_converged = least.scatter_reduce(0, owner, found.converged.to(torch.float64), "amin") > 0.0
     is_converged = are_converged | (nearest.upper - lower <= least.scatter_reduce(0, owner, allowed, "amin"))
     return Distances(

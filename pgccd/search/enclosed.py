@@ -24,26 +24,26 @@ from pgccd.search.query import Query
 def enclosed(scene: Scene, motion: RigidMotion | VertexMotion | Trajectory) -> Tensor:
     """The bodies that are wholly inside another one at the start of a step.
 
-    `detect` finds surfaces that meet. The surface of a body inside another one meets nothing, so that `detect` reports
-    no contact of the two until the body leaves.
+    `detect` finds surfaces that meet. The surface of a body inside another one meets nothing, so `detect` reports no
+    contact of the two until the body leaves.
 
-    A body is inside of another one if its surface is inside of the solid that the other one's surface bounds: all
-    points that this surface winds about, whether its triangles face outwards or inwards. A cavity, bounded by triangles
-    that face the other way, does not belong to the solid. Of a body in several pieces all must be inside. Pairs whose
-    surfaces touch or intersect at the start are left out: `detect` reports them, at toi 0. Margins do not count; the
-    scene's filters do.
+    A body is inside of another one if its surface is inside of the solid that the surface of the other body bounds. The
+    solid is all points that the bounding surface winds about, whether its triangles face outwards or inwards. A cavity,
+    bounded by triangles that face the other way, does not belong to the solid. If a body has several pieces, all must
+    be inside. Pairs whose surfaces touch or intersect at the start are left out: `detect` reports them, at toi 0.
+    Margins do not count; the scene's filters apply.
 
     Args:
         scene: the bodies. The mesh of each must be watertight: each edge is shared by exactly two triangles, in
-            opposite directions. It may be in several pieces. Bodies that are not watertight cannot be in this scene.
-        motion: their paths, of which only the start counts; see `RigidMotion.at_rest`. Of a `Trajectory`, the first
+            opposite directions. It may be in several pieces.
+        motion: their paths, of which only the start counts; see `RigidMotion.at_rest`. With a `Trajectory`, the first
             waypoint.
 
     Returns:
         (K, 2) int64 on the scene's device: rows (inner body, outer body), sorted. Synchronises with a GPU.
 
     Raises:
-        ValueError, TypeError: naming the argument; also, naming body, mesh and edge, if a body is not watertight.
+        ValueError, TypeError: naming the argument; if a body is not watertight, naming body, mesh and edge.
 
     Example:
         >>> pgccd.enclosed(scene, pgccd.RigidMotion.at_rest(x, q))
@@ -89,7 +89,7 @@ def _require_watertight(scene: Scene) -> None:
 
 
 def _enclosed_rows(scene: Scene, still: RigidMotion | VertexMotion, pairs: Tensor) -> Tensor:
-    """(K, 2) int64, sorted: rows (inner body, outer body) of those of the pairs (P, 2), sorted, whose surfaces do not
+    """(K, 2) int64, sorted: rows (inner body, outer body), of those of the sorted pairs (P, 2) whose surfaces do not
     meet and of which one body is wholly inside the other one.
     """
     closed = scene.meshes._closed

@@ -25,13 +25,13 @@ from pgccd.search.detect import detect_moving
 from pgccd.search.distance import distance
 from pgccd.search.query import Query
 
-# See section 17 of docs/explanation/exactness.md: what the points of the way and points that are translated later may
-# differ by, relative to the largest coordinate and the size of the pair; and the part of the way that is added to it.
+# See section 17 of docs/explanation/exactness.md: how much points on the way and points that are translated later may
+# differ, relative to the largest coordinate and the size of the pair; and the part of the way that is added to it.
 _POINTS = 2.0**-47
 _WAY = 2.0**-40
-# By how much later steps back from the upper bound are longer than those before.
+# The factor by which each step back from the upper bound is longer than the one before.
 _LONGER = 4.0
-# Of bodies with more pairs of faces than this the way is halved a few times before it is searched: where they overlap
+# For bodies with more pairs of faces than this, the way is halved a few times before it is searched: where they overlap
 # deeply, very many features meet.
 _FEW_FACES = 1 << 12
 _HALVINGS = 6
@@ -84,32 +84,32 @@ def exit_distance(
     min_separation: float = 0.0,
     tolerance: float | None = None,
 ) -> ExitDistances:
-    """How far one body of each pair must be translated along a direction until the two are apart for good: of bodies at
-    rest where a motion starts, the least s >= 0 such that body j, translated by any larger s times the direction, is
-    further than min_separation from body i. Lower and upper bounds, both certified.
+    """How far one body of each pair must be translated along a direction until the two are apart for good. With bodies
+    at rest where a motion starts, that is the least s >= 0 such that body j, translated by any larger s times the
+    direction, is further than min_separation from body i. Finds a lower and an upper bound, both certified.
 
-    Bodies are apart if their surfaces are, with their margins, and neither has a connected piece inside of the other,
-    a solid. Where a translation brings a body out of another one and then into it again, the last way out counts. The
-    least distance over many directions is an upper bound of the depth of penetration.
+    Bodies are apart if their surfaces, with their margins, are apart and no connected piece of one is inside of the
+    other, a solid. If a translation brings a body out of another one and then into it again, the last way out counts.
+    The least distance over many directions is an upper bound of the depth of penetration.
 
     Args:
         scene: the bodies.
         motion: their paths, of which only the start counts; see `RigidMotion.at_rest`.
         direction: (3,), world frame, of any length but 0; with `pairs` also (P, 3), one for each pair.
         pairs: (P, 2) int64, i < j, in any order, also repeated: body j of each is translated relative to body i. The
-            scene's filters and `exclude` are not applied to them. Default: all pairs that they allow and that touch at
-            the start, as `pgccd.collide` reports them at rest.
-        min_separation: length >= 0: bodies at most this far apart touch, besides their margins.
-        tolerance: length: the upper bound is that of surfaces which come within min_separation + tolerance; the lower
-            one is searched for in steps back from it, which begin with the tolerance and grow by factors of four.
-            Default: 1e-6 of the smaller SBV radius of each pair.
+            scene's filters and `exclude` are not applied to them. Default: all pairs that the filters allow and that
+            touch at the start, as `pgccd.collide` reports them at rest.
+        min_separation: length >= 0, added to the margins: bodies at most this far apart touch.
+        tolerance: length: the upper bound is where surfaces last come within min_separation + tolerance. The lower
+            bound is searched for in steps back from the upper one, which begin with the tolerance and grow by factors
+            of four. Default: 1e-6 of the smaller SBV radius of each pair.
 
     Returns:
-        ExitDistances, on the scene's device: a row for each pair, in the order given; by default sorted. `upper` counts
-        as touching what the rounding of translated positions to float64 may bring into contact. `lower` is certified
-        for exact translations of rigid bodies, and of deforming ones for vertices that are rounded to float64. It is 0
-        where surfaces only ever touch, and none certainly passes through the other, as boxes of equal size, exactly
-        aligned. Synchronises with a GPU, for each step back.
+        ExitDistances, on the scene's device: a row for each pair, in the order given; by default sorted. For `upper`,
+        bodies touch if rounding of translated positions to float64 may bring them into contact. `lower` is certified
+        for exact translations of rigid bodies; for deforming bodies, for vertices rounded to float64. It is 0 where
+        surfaces only ever touch and none certainly passes through the other, such as exactly aligned boxes of equal
+        size. Synchronises with a GPU, once for each step back.
 
     Raises:
         TypeError, ValueError: naming the argument; also if a pair is too large, or an input requires grad.
@@ -178,7 +178,7 @@ class _MovedApart:
         direction: (P, 3).
         way: (P,) translations beyond which the bodies are certainly apart.
         stray: (P,) how far translated points may be from their places.
-        radius: (P,) SBV radius of the smaller body, of a sphere its own.
+        radius: (P,) SBV radius of the smaller body; for a sphere, the radius of the sphere.
     """
 
     scene: Scene
@@ -208,7 +208,7 @@ class _MovedApart:
         return cls(bodies.scene, still, pairs, direction, way, stray, bodies.scene._size[pairs].amin(dim=1))
 
     def halved(self, separation: float) -> Tensor:
-        """(P,): translations at which bodies of many faces certainly touch, few of them near the last one; others 0."""
+        """(P,): translations at which bodies of many faces certainly touch; 0 for other bodies."""
         below, above = torch.zeros_like(self.way), self.way
         faces = self.scene.meshes.offsets.diff(dim=0)[:, 1].to(below.device)[self.scene.mesh_index.long()]
         rows = torch.nonzero(faces[self.pairs].prod(dim=1) > _FEW_FACES)[:, 0]
@@ -222,7 +222,7 @@ class _MovedApart:
     def upper(self, query: Query, below: Tensor) -> Tensor:
         """(P,): translations, not less than `below`, beyond which bodies are certainly apart."""
         rows = torch.arange(len(self.pairs), device=self.pairs.device)
-        # Back from where they are apart: what happens before the first contact happens beyond the last translation that
+        # The bodies move back from where they are apart: the first contact on that way is at the last translation that
         # touches.
         moving = MovingBodies.of(self._scene(rows, self.stray), self._motion(rows, self.way, below))
         hits = detect_moving(moving, query, pairs=self._local_pairs(rows))
@@ -255,7 +255,7 @@ class _MovedApart:
         pairs = self._local_pairs(rows)
         near = distance(scene, motion, cutoff=separation, pairs=pairs, tolerance=0.0)
         touches = near.upper <= separation
-        # Where a distance is that of triangles that only touch, others may pass through one another.
+        # If the least distance is of triangles that only touch, other triangles may still pass through one another.
         left = torch.nonzero(~touches)[:, 0]
         if not len(left):
             return touches

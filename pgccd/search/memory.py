@@ -11,7 +11,7 @@ from pgccd.runtime.sizes import MOST_ROWS, BufferSizes, Capacity, sizes_of
 from pgccd.search.query import Query
 
 _DEFAULT_BUDGET = 1 << 30
-# Capacity relative to what the last step needed, and, of large scenes before their first step, to a guess.
+# Capacity relative to what the last step needed; and, for large scenes before their first step, relative to a guess.
 _SLACK, _SPARSE = 1.25, 0.25
 # Memory per pair of the PCS in traversal and narrow phase, in the standard scene, with a safety factor.
 _BYTES_PER_PAIR = 1536
@@ -54,8 +54,8 @@ class CapacityEstimate:
             self._size, self.needed = size, needed
 
     def capacity(self, scene: Scene, pairs: Tensor | None, slack: float = _SLACK) -> BufferSizes:
-        """The expected capacity, from the last step or, before the first, from the standard scene: of a large scene
-        only a part of that.
+        """The expected capacity: what the last step needed, times `slack`, or before the first step the need of the
+        standard scene, for a large scene only a part of it.
 
         Args:
             scene: the bodies.

@@ -26,7 +26,7 @@ __all__ = ["ElementaryResult", "Kind", "Report", "SearchReport", "Status", "edge
 
 #: Which contacts of a pair `pgccd.detect` gives.
 Report = Literal["first", "all", "earliest"]
-#: Of searches besides: "any", for the pairs of `pgccd.collide`.
+#: Searches have one more report: "any", for the pairs of `pgccd.collide`.
 SearchReport = Literal["any", "first", "all", "earliest"]
 CONTACT_REPORTS = get_args(Report)
 # Numbers of the enum Report in csrc/kernels/narrow/narrow.h. For "earliest", operators may leave out later contacts.
@@ -58,7 +58,7 @@ class ElementaryResult:
 
     @property
     def differentiable(self) -> Tensor:
-        """(n,) bool: as of `pgccd.Contacts`; False also where features do not touch."""
+        """(n,) bool: as for `pgccd.Contacts`; False also where features do not touch."""
         return torch.zeros_like(self.status, dtype=torch.bool) if self._differentiable is None else self._differentiable
 
 
@@ -71,8 +71,8 @@ def vertex_face(
 ) -> ElementaryResult:
     """Vertex against face, all four points on straight lines over the step. The points are taken as exact.
 
-    A query is first tested in the precision of its points, and in higher precisions where rounding leaves it undecided.
-    So a near miss is reported as a contact only if the gap is less than about 10^-28 of the query's size.
+    A query is first tested in the precision of its points, then in higher precisions while rounding leaves it
+    undecided. A near miss is reported as a contact only if the gap is less than about 10^-28 of the query's size.
 
     Args:
         points_t0, points_t1: (n, 4, 3) float32 or float64, positions of v, f0, f1, f2 at both ends, any one length
@@ -153,7 +153,7 @@ def _solve(
 def check_report(report: SearchReport, collide: str = "pgccd.collide") -> None:
     """Raises TypeError or ValueError unless this is a report of contacts; `collide` is the call that finds pairs."""
     if isinstance(report, str) and report == "any":
-        raise ValueError(f'report: "any" is a call of its own: {collide} finds the pairs that collide')
+        raise ValueError(f'report: "any" finds no contacts: call {collide} to find the pairs that collide')
     arguments.choice(report, "report", CONTACT_REPORTS)
 
 

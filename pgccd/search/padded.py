@@ -30,8 +30,8 @@ class PaddedSearch:
     broad_phase: str
     rows: ContactRows  #: padded; the first column is body pairs (., 2)
     counts: Tensor  #: (22 + F,) int64: `Counts`, then `MovingBodies._first_invalid_rows`
-    #: (N,) float64, negative for bodies whose pose is invalid: those of the others were searched. None: if a pose is
-    #: invalid, nothing was.
+    #: (N,) float64, negative for bodies whose pose is invalid; all other bodies were searched. None: nothing was
+    #: searched if a pose is invalid.
     reach: Tensor | None = None
 
     def read(self) -> Counts:

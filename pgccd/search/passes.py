@@ -18,8 +18,8 @@ from pgccd.search.memory import CapacityEstimate
 from pgccd.search.padded import PaddedSearch
 from pgccd.search.query import Query
 
-# Capacity for pairs found without synchronising, relative to the last step. Larger than for pairs of known number,
-# since the number of pairs may grow too.
+# Capacity for pairs found without synchronising, relative to the last step. It is larger than for a known number of
+# pairs, since that number may grow too.
 PASS_SLACK = 1.5
 
 

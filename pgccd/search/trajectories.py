@@ -30,8 +30,8 @@ class FindInStep(Protocol[R_co]):
 def detect_segments(
     scene: Scene, trajectory: Trajectory, find: FindInStep[R_co], pairs: Tensor | None = None
 ) -> tuple[R_co, Tensor, Tensor]:
-    """What `find` finds in each segment of a trajectory: rows whose pairs are of the copies below, sorted by segment;
-    and for each row its segment (K,) and the pair (K, 2) of the scene.
+    """What `find` finds in each segment of a trajectory: rows with pairs of the copies described below, sorted by
+    segment; and for each row its segment (K,) and its pair (K, 2) in the scene.
 
     All segments run as one step of a scene with one copy of each body per segment; the copies of different segments are
     in different worlds, so no broad phase pairs them.
@@ -46,7 +46,7 @@ def detect_segments(
 def pairs_along(
     scene: Scene, trajectory: Trajectory, find: FindInStep[CollidingPairs], pairs: Tensor | None
 ) -> CollidingPairs:
-    """`pgccd.collide` for a trajectory, given that of a step."""
+    """`pgccd.collide` for a trajectory, given `find` for a step."""
     found, _, bodies = detect_segments(scene, trajectory, find, pairs)
     bodies = torch.unique(bodies, dim=0) if len(bodies) else bodies
     stats = replace(found.stats, bodies=scene.body_count, needed=None, contacts=len(bodies))
@@ -64,7 +64,8 @@ def contacts_along(
 
     Args:
         scene, trajectory, report, pairs: its arguments.
-        find: that of a step; for "earliest", which selects from the first contacts of all segments, by report "first".
+        find: `detect` for a step; by report "first" for "earliest", which selects from the first contacts of all
+            segments.
     """
     found, _, _ = detect_segments(scene, trajectory, find, pairs)
     return of_trajectory(found, scene, trajectory.segment_count, report)

@@ -39,9 +39,9 @@ def find_candidates(
 
     Returns:
         The candidates, (C, 4) int32: index into `pairs`, kind (see `pgccd.Kind`), feature of i, feature of j. Every
-        feature pair that may touch is listed exactly once (representative triangles, Curtis et al. 2008). Of a pair
-        (i, i) they are of kind VF_AB, EE with the smaller edge first, or EF_AB. The order of rows is not specified.
-        And the number of node pairs tested below the roots, (1,) int64.
+        feature pair that may touch is listed exactly once (representative triangles, Curtis et al. 2008). The
+        candidates of a pair (i, i) are of kind VF_AB, EE with the smaller edge first, or EF_AB. The order of rows is
+        not specified. The second result is the number of node pairs tested below the roots, (1,) int64.
 
     Raises:
         TypeError, ValueError: naming the argument.

@@ -1,7 +1,7 @@
 """The nanorobot model: very many robots that move, collide, stop and reverse (Du, Liu & Suzumura 2017, section 5).
 
-A run is `run(ModelConfig(...), steps, folder)`; on many ranks all of them call `run(..., comm=comm)`. Its parts are
-public too, for other simulations.
+A run is `run(ModelConfig(...), steps, folder)`; on many ranks, every rank calls `run(..., comm=comm)`. The parts of a
+run are public too, for other simulations.
 """
 
 from pgccd.checkpoint.files import CheckpointError

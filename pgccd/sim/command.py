@@ -76,7 +76,7 @@ def stopping(comm: Comm) -> Iterator[None]:
 
 def tell_ranks(problem: Exception) -> Exception:
     """Sends the reason why this rank cannot connect to all ranks, so that they end too. Returns the problem to report:
-    that of the first rank that has one.
+    the problem of the first rank that has one.
     """
     if find_placement().size > 1:
         try:

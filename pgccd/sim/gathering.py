@@ -27,8 +27,9 @@ def gather_columns(comm: Comm, columns: Columns) -> Columns:
 def gather_sample(
     comm: Comm, state: RobotState, steps: Sequence[Step] = (), one_in: int = 1
 ) -> tuple[RobotState, list[Step]]:
-    """An even sample of the robots on rank 0, by ascending id; none on the others. With the steps that led to this
-    state, also these, with their contacts whose first robot is in the sample; the other robots of these are added.
+    """An even sample of the robots on rank 0, by ascending id; no robots on other ranks. If the steps that led to this
+    state are given, they are gathered too, with those contacts whose first robot is in the sample; the second robots of
+    these contacts are added.
 
     Args:
         comm: between the ranks.

@@ -168,7 +168,7 @@ def _require_text(block: bytes) -> None:
 
 
 def _lines_from_end(file: BufferedReader) -> Iterator[tuple[bytes, int]]:
-    """The lines from the last one on, and the place after each. What follows the last newline is none."""
+    """The lines from the last one backwards, and the place after each. What follows the last newline is no line."""
     end = begin = file.seek(0, os.SEEK_END)
     tail = b""  # what has been read of the line that ends at `end`
     is_whole = False  # whether that ends with a newline

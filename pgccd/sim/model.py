@@ -32,20 +32,20 @@ class ModelConfig:
     Attributes:
         robots: their number, below 2^31.
         pattern: "random": straight courses in random directions. "skewed": each robot moves to one of the eight corners
-            of the box (first the nearest), stays there for some time, then moves to another (along an edge; a robot
-            that is blocked turns to the nearest).
+            of the box (first the nearest), stays there for some time, then moves along an edge to another corner. A
+            robot that is blocked turns to the nearest corner.
         seed: any int64.
         spacing: lattice spacing at the start, > 2. With 2.56 the SBVs fill 25 % of the box.
-        speed: mean displacement per step; that of a robot is 0.5 to 1.5 times this.
+        speed: mean displacement per step; a robot moves 0.5 to 1.5 times as far.
         spin: largest rotation per step, radians.
         course_steps: mean number of steps on one course (random, and while staying in a corner).
         resume_steps: mean number of steps after which a robot that was reversed turns to its corner again.
         stay_steps: shortest and longest stay in a corner, steps.
         arrival: distance from the corner at which a robot has arrived, relative to the smallest box edge.
-        crowd: a robot reversed within this distance of its corner, by other robots there, stays too.
-        stopping_round: >= 1. A step is resolved in rounds: robots stop before their first collision, and then those are
-            found that would collide with these. Of them, those found in this round or a later one stay where they are
-            for the step. With a larger number more of them move part of their way, and a step takes more rounds.
+        crowd: a robot that other robots reverse within this distance of its corner stays there too.
+        stopping_round: >= 1. A step is resolved in rounds: robots stop before their first collision, and each round
+            finds robots that would collide with stopped ones. Robots found in this round or a later one do not move in
+            the step. With a larger number, more robots move part of their way, and a step takes more rounds.
 
     Raises:
         ValueError: naming the field.

@@ -22,7 +22,7 @@ from pgccd.viz.raster import placed
 _SHAPES = {Kind.VF_AB: ("vertex", "face"), Kind.VF_BA: ("face", "vertex"), Kind.EE: ("edge", "edge")}
 
 
-# A page plays this many steps, if that takes no more poses than fit on it with most robots.
+# A page plays this many steps, if their poses fit on it with most robots.
 _MOST_SHOWN, _POSES_SHOWN = 6, 60_000
 
 
@@ -70,8 +70,8 @@ def snapshot_of_step(model: Model, step: Step, caption: Sequence[str] = ()) -> S
 
 
 def page_of_steps(model: Model, steps: Sequence[Step], caption: Sequence[str] = ()) -> Page:
-    """A page that plays consecutive steps: the robots on the paths that they moved, those that stopped in each step,
-    and its contacts.
+    """A page that plays consecutive steps: the robots on the paths that they moved, and for each step the robots that
+    stopped and the contacts.
 
     Args:
         model: the rules.

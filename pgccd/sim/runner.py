@@ -46,8 +46,8 @@ class Run:
 
     Attributes:
         model: the world.
-        state: the robots after the last step: with `keep_steps` all robots on rank 0, or a sample of a very large
-            world; else this rank's own robots.
+        state: the robots after the last step: with `keep_steps`, all robots on rank 0, or a sample of a very large
+            world; without, this rank's own robots.
         steps_made: number of steps, those before a resumption included.
         folder: of the run; None on ranks other than 0.
         last_steps: the last steps, as many as were to be kept and were made in this process, oldest first.
@@ -99,25 +99,25 @@ def run(
     keep: int = KEEP,
     notes: Mapping[str, Any] | None = None,
 ) -> Run:
-    """Simulates a world from its start and writes `world.json`, `steps.jsonl` and `checkpoints/` into a folder, which
+    """Simulates a world from its start, and writes `world.json`, `steps.jsonl` and `checkpoints/` to a folder, which
     all ranks must share.
 
-    Ctrl-C (or SIGTERM), on any rank, ends it after the current step, with a checkpoint; a second one ends it at once,
-    keeping the last checkpoint.
+    Ctrl-C (or SIGTERM) on any rank ends the run after the current step, with a checkpoint. A second one ends it at once
+    and keeps the last checkpoint.
 
     Args:
         config: the world.
         steps: number of steps.
         folder: created if missing; locked against other jobs.
-        comm: between the ranks; all of them call this with equal arguments. Default: one process, all robots.
-        meshes: kinds of robots; default `robot_mesh()`.
+        comm: between the ranks, all of which call this with equal arguments. Default: one process with all robots.
+        meshes: kinds of robots. Default: `robot_mesh()`.
         device: of the computation, of this rank. The result does not depend on it.
         options: of the distribution over ranks, and the broad phase: see `pgccd.distributed.RankOptions`.
         checkpoint_every: steps between checkpoints; 0: one at the end only.
         progress: notified after every step.
         keep_steps: number of last steps that are kept with their details on rank 0, for pictures. On a GPU they are not
-            replayed. Of more than a million robots it is the last step of an even sample, whose size does not grow with
-            the world.
+            replayed. With more than a million robots, only the last step is kept, for an even sample whose size does
+            not grow with the world.
         graph: whether steps are replays of one CUDA graph. Default: on a GPU. The result does not depend on it.
         overwrite: whether to replace an earlier run in the folder.
         keep: number of checkpoints to keep: the newest ones.
@@ -127,7 +127,7 @@ def run(
         The run; without its folder and records on ranks other than 0.
 
     Raises:
-        ValueError: naming the argument; also if the folder is in use, or holds a run, or cannot be written to. On all
+        ValueError: naming the argument; also if the folder is in use, holds a run, or cannot be written to. On all
             ranks.
 
     Example:
@@ -164,8 +164,8 @@ def resume(
 
     Args:
         folder: of the run.
-        steps: total number of steps; default: that of the run.
-        meshes: of the run; default `robot_mesh()`.
+        steps: total number of steps. Default: that of the run.
+        meshes: of the run. Default: `robot_mesh()`.
         comm, device, options, checkpoint_every, progress, keep_steps, graph, keep: as for `run`.
 
     Raises:
@@ -224,8 +224,8 @@ class _LastSteps:
         self.steps: list[Step] = []
 
     def replayed_after(self, index: int, more: int) -> int:
-        """Number of steps that follow step `index` before details of one are read, if `more` follow before the state
-        is.
+        """Number of steps that follow step `index` before the details of a step are read, if `more` steps follow before
+        the state is read.
         """
         return min(more, max(0, self._first - index))
 

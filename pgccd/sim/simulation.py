@@ -45,8 +45,8 @@ FIRST_CONTACTS = Query("first", 0.0, None, True, "assume_free")
 
 
 class Simulation(RankSteps[Step, CommittedStep, StepGraph]):
-    """The robots of a simulation, distributed over ranks, of which a single process is one; made by `create`, on all
-    ranks together.
+    """The robots of a simulation, distributed over any number of ranks, also one; made by `create`, on all ranks
+    together.
 
     On a GPU, with NCCL if there are several ranks, consecutive steps are replays of one CUDA graph per rank, messages
     included. Cells and robots change owners only in steps run eagerly, so robots that leave their rank's cells migrate
@@ -78,7 +78,8 @@ class Simulation(RankSteps[Step, CommittedStep, StepGraph]):
         self._expected, self._stop = expected, False
         self._state, self._arrived = state, 0
         self._scene: tuple[Tensor, Scene] | None = None
-        # What one rank reports besides `count_step`, in the order of `Reports`: it has no ghosts, and no robot leaves.
+        # What a single rank reports in addition to `count_step`, in the order of `Reports`: it has no ghosts, and no
+        # robot leaves.
         self._report = torch.zeros(REPORTED, dtype=torch.int64, device=model.device)
         # Written before a replay: number of robots that arrived since the last one; whether to stop.
         self._notes = self._report[1:3]
@@ -99,7 +100,7 @@ class Simulation(RankSteps[Step, CommittedStep, StepGraph]):
         Args:
             comm: between the ranks.
             model: the rules, the same on all ranks, on this rank's device.
-            partition: the same on all ranks. Default: that of the options.
+            partition: the same on all ranks. Default: as the options say.
             state: of any share of the robots; each robot is on exactly one rank. Default: all robots at the start.
             options: of the distribution over ranks, the same on all.
             graph: whether steps are replayed, the same on all ranks. Default: if messages are sent on a GPU's stream.
@@ -373,9 +374,9 @@ def starting_share(comm: Comm, model: Model) -> RobotState:
 
 
 def rounds_of(share: Share, bodies: MovingBodies, own: Columns) -> ListedSearch:
-    """The rounds of a step of robots. They move at constant velocities, and two that move by the same fraction are not
-    searched: they are at equal times of their whole paths, before the first toi that the search of the whole step has
-    certified (docs/explanation/exactness.md, section 12).
+    """The rounds of a step of robots. Robots move at constant velocities. Two robots that move by the same fraction are
+    not searched: they are at equal times of their whole paths, before the first toi that the search of the whole step
+    has certified (docs/explanation/exactness.md, section 12).
 
     Args:
         share: of the step.

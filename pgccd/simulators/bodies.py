@@ -28,11 +28,11 @@ class Bodies:
         self._surfaces: list[ThickSurface] = []
         self._meshes: list[Mesh] = []
         self._index: list[int] = []
-        # Of infinite planes that move together the first body, by mesh and carrier.
+        # The first body of infinite planes that move together, by mesh and carrier.
         self._planes: dict[Hashable, int] = {}
 
     def add(self, name: str, key: Hashable, surface: Callable[[], ThickSurface], carrier: Hashable) -> None:
-        """Adds a body; those with equal keys share a mesh, those with equal carriers a pose.
+        """Adds a body. Bodies with equal keys share a mesh, and bodies with equal carriers share a pose.
 
         Raises:
             ValueError: it has no surface, naming the body.
@@ -60,7 +60,7 @@ class Bodies:
         static: np.ndarray,
         **filters: Any,
     ) -> Scene:
-        """The scene of all bodies. In place of infinite planes are squares that reach four times as far as all else.
+        """The scene of all bodies. Infinite planes become squares that reach four times as far as all else.
 
         Args:
             frame: gives the poses of the bodies now.

@@ -18,10 +18,10 @@ from pgccd.simulators.simulator import Simulator
 class MuJoCo(Simulator):
     """The geoms of a MuJoCo model that may collide, as the bodies of a scene.
 
-    Not tested are the pairs that MuJoCo does not test: by contype and conaffinity, of one body, of bodies that are
-    rigidly joined, of parent and child (unless the model disables that filter), and those of elements `exclude`; all
-    that elements `pair` name are tested. Planes are infinite, whatever their size. Geoms that no degree of freedom
-    moves are static, those of mocap bodies too.
+    Pairs that MuJoCo does not test are not tested: by contype and conaffinity, of one body, of bodies that are rigidly
+    joined, of parent and child (unless the model disables that filter), and of elements `exclude`. All pairs that
+    elements `pair` name are tested. Planes are infinite, whatever their size. Geoms that no degree of freedom moves are
+    static, also those of mocap bodies.
 
     Args:
         model: a `mujoco.MjModel`.
@@ -33,7 +33,7 @@ class MuJoCo(Simulator):
         geoms: (N,) int64 array, the geom of each body.
 
     Raises:
-        ValueError: a geom has no surface, such as an SDF; naming it. Or there are none.
+        ValueError: a geom has no surface, such as an SDF (it is named); or no geom may collide.
         ImportError: mujoco is not installed.
 
     Example:
@@ -60,8 +60,8 @@ class MuJoCo(Simulator):
         static = model.body_treeid[owner] < 0  # no degree of freedom moves it
         columns = {}
         if model.npair == 0:
-            # MuJoCo asks whether one's contype has a bit in common with the other's conaffinity, or the other way
-            # round; a scene, whether both do.
+            # MuJoCo tests a pair if one's contype has a bit in common with the other's conaffinity, or the other way
+            # round; a scene, only if both hold.
             kind, affinity = (
                 column[self.geoms].astype(np.int64) for column in (model.geom_contype, model.geom_conaffinity)
             )
@@ -75,8 +75,8 @@ class MuJoCo(Simulator):
         )
 
     def _never_tested(self, owner: np.ndarray, static: np.ndarray) -> np.ndarray:
-        """(E, 2): pairs that MuJoCo leaves out by their bodies (N,), besides static ones; if there are elements `pair`,
-        by contype and conaffinity too.
+        """(E, 2): pairs that MuJoCo leaves out by their bodies (N,), without static pairs; if there are elements
+        `pair`, also those left out by contype and conaffinity.
         """
         model = self._model
         i, j = np.triu_indices(len(owner), 1)

@@ -18,10 +18,10 @@ from pgccd.simulators.simulator import Simulator
 class Newton(Simulator):
     """The shapes of a Newton model that may collide, as the bodies of a scene on the device of the model.
 
-    Shapes of all worlds are tested against those of their world; for shapes that belong to no world there is a body in
-    each. Not tested are shapes of one body, and the model's `shape_collision_filter_pairs`; collision groups are not
-    looked at. Shapes that belong to no body are static. Shapes are thickened by their `shape_margin`. Planes with width
-    and length are rectangles; Newton lets other shapes touch such a plane a little beside it too.
+    Shapes are tested against the shapes of their world; a shape that belongs to no world has a body in each world.
+    Shapes of one body, and the model's `shape_collision_filter_pairs`, are not tested; collision groups are ignored.
+    Shapes that belong to no body are static. Shapes are thickened by their `shape_margin`. Planes with width and length
+    are rectangles; in Newton, other shapes can touch such a plane also a little beside it.
 
     Args:
         model: a `newton.Model`.
@@ -32,7 +32,7 @@ class Newton(Simulator):
         shapes: (N,) int64 array, the shape of each body.
 
     Raises:
-        ValueError: a shape has no surface known here, such as a cone; naming it. Or there are none.
+        ValueError: the surface of a shape is not known here, such as a cone (it is named); or no shape may collide.
         ImportError: newton or warp is not installed.
     """
 
@@ -73,7 +73,7 @@ class Newton(Simulator):
         pairs = [(place.get((a, w)), place.get((b, w))) for a, b in filtered for w in worlds]
         exclude = [(i, j) for i, j in pairs if i is not None and j is not None]
         device = torch.device(str(model.device))
-        # A body after the last one, for shapes that belong to none.
+        # A body after the last one, for shapes that belong to no body.
         body = np.where(owner[self.shapes] < 0, model.body_count, owner[self.shapes])
         self._body = torch.from_numpy(body.astype(np.int64)).to(device)
         of_world = torch.tensor([w for _, w in rows], device=device)

@@ -15,17 +15,19 @@ from pgccd.robots.shapes import ThickSurface
 from pgccd.simulators.bodies import Bodies
 from pgccd.simulators.simulator import Simulator
 
-# By which PyBullet thickens hulls. It tells that of a placed hull only if the user has changed it.
+# The margin by which PyBullet thickens hulls. PyBullet tells the margin of a placed hull only if the user has changed
+# it.
 _HULL = 1e-3
 
 
 class PyBullet(Simulator):
     """The collision shapes of a PyBullet world, as the bodies of a scene.
 
-    Shapes of one multibody are not tested against each other, as PyBullet does by default; its other filters are not
-    looked at. Shapes of bases without mass and links are static. Meshes of files, which PyBullet replaces by their
-    hulls, are taken as they are, in metres. Both, and hulls of points, are thickened by their collision margin, as
-    PyBullet does: by 0.001 at least. Boxes have sharp edges here; PyBullet rounds them with a radius of its margin.
+    Shapes of one multibody are not tested against each other, which is PyBullet's default; its other filters are
+    ignored. The shape of a body that has neither links nor mass is static. Meshes of files are taken as they are, in
+    metres; PyBullet replaces them by their hulls. These meshes, and hulls of points, are thickened by their collision
+    margin, as in PyBullet: by at least 0.001. Boxes have sharp edges here; PyBullet rounds them with a radius of its
+    margin.
 
     Args:
         client: number of the physics server, as `pybullet.connect` returns it.
@@ -37,8 +39,8 @@ class PyBullet(Simulator):
         links: (N) body and link of each, as PyBullet numbers them.
 
     Raises:
-        ValueError: the surface of a shape is not known, as of triangles without a file and of height fields, whose
-            shape PyBullet does not tell; naming it. Or there are none.
+        ValueError: the surface of a shape is not known (it is named), such as triangles without a file or height
+            fields, whose shape PyBullet does not tell; or there are no shapes.
         ImportError: pybullet is not installed; or scipy, if there are hulls of points.
 
     Example:
@@ -65,7 +67,7 @@ class PyBullet(Simulator):
                 name = f"body {body}, {names[1] or 'multibody'}, {names[0] or f'link {link}'}"
                 found = pybullet.getCollisionShapeData(body, link, physicsClientId=client)
                 if not found and len(set(pybullet.getAABB(body, link, physicsClientId=client))) > 1:
-                    raise ValueError(f"{name}: expected shapes that PyBullet tells, got one such as a height field")
+                    raise ValueError(f"{name}: expected a shape that PyBullet tells, got one such as a height field")
                 thickness = max(_HULL, pybullet.getDynamicsInfo(body, link, physicsClientId=client)[11])
                 for number, shape in enumerate(found):
                     # Hulls of points, as PyBullet makes of cylinders in URDF files, have no file.

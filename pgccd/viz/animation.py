@@ -25,7 +25,7 @@ from pgccd.viz.shapes import Shape, drawn
 _StepMotion: TypeAlias = RigidMotion | VertexMotion
 #: The motion of a scene.
 AnyMotion: TypeAlias = _StepMotion | Trajectory
-#: The motion of the bodies of a page; also consecutive steps.
+#: The motion of the bodies of a page; or the motions of consecutive steps.
 Motions: TypeAlias = AnyMotion | Sequence[_StepMotion]
 #: Contacts of that motion; of consecutive steps those of each step.
 AnyHits: TypeAlias = PairColumns | Sequence[PairColumns | None] | None
@@ -33,8 +33,8 @@ AnyHits: TypeAlias = PairColumns | Sequence[PairColumns | None] | None
 AnyFraction: TypeAlias = Tensor | float | Sequence[Tensor | float] | None
 
 INCOMPLETE = (
-    "The result is incomplete (a capacity was exceeded, or a pose is invalid): there may be other contacts, and it "
-    "counts as a contact of every body at the start."
+    "The result is incomplete (a capacity was exceeded, or a pose is invalid): there may be other contacts, and every "
+    "body counts as colliding at the start."
 )
 WITHOUT_TIMES = "The result of collide has pairs of bodies, but no times and points of contacts."
 
@@ -62,7 +62,7 @@ class VertexPaths:
     """Straight paths of the X vertices of N deforming bodies in S segments. World frame, length units.
 
     Attributes:
-        position: (W, X, 3) at W moments, of all that is drawn.
+        position: (W, X, 3) at W moments, of all vertices that are drawn.
         ends: (S, 2) moments at the start and end of each segment.
         begin: (N,) first vertex of each body.
     """
@@ -119,7 +119,7 @@ class Animation:
     """N bodies on their paths in S segments, and contacts.
 
     Attributes:
-        shapes: what is drawn of each mesh. Of deforming bodies only the faces are used.
+        shapes: what is drawn of each mesh. For deforming bodies only the faces are used.
         shape_index: (N,) shape of each body.
         paths: of the bodies.
         hit: (S, N) bool: whether a body collides in a segment.
@@ -128,7 +128,7 @@ class Animation:
         marks: contacts on the whole paths.
         world: (N,) int, or None.
         margin: (N,) length units, beyond what is drawn; or None.
-        fraction: (S, N) body i moves on x_i(fraction_i t) in each segment; or None.
+        fraction: (S, N): body i moves on x_i(fraction_i t) in each segment; or None.
         first_step: number of the first segment, if segments are steps; None: segments lie between waypoints.
         names: of bodies, by number; or None.
         box: (2, 3) lower and upper corner of a box that is drawn, or None.
@@ -231,7 +231,7 @@ def _array(column: Tensor) -> np.ndarray:
 
 
 def _steps(motion: Any) -> list[AnyMotion]:
-    """The steps of a list; of another motion that alone."""
+    """The steps of a list; for another motion, a list of that motion alone."""
     if isinstance(motion, (RigidMotion, VertexMotion, Trajectory)):
         return [motion]
     if not isinstance(motion, Sequence) or isinstance(motion, str):
@@ -325,7 +325,7 @@ def _paths(scene: Scene, steps: list[AnyMotion], is_list: bool) -> RigidPaths | 
         start, end, orientation, rotation = joined
         return RigidPaths(start, end, orientation, rotation, is_linear)
     start, end = joined
-    # Where a segment begins at the end of the one before, as those of trajectories do, its vertices are held once.
+    # If a segment begins at the end of the one before, as in trajectories, these vertices are stored once.
     moments, ends = [start[:1]], []
     for segment in range(len(start)):
         if segment and not np.array_equal(start[segment], moments[-1][0]):
@@ -347,8 +347,8 @@ def _of_all_drawn(paths: VertexPaths, shapes: list[Shape], index: np.ndarray) ->
 
 
 def _margins(scene: Scene, shapes: list[Shape], index: np.ndarray) -> np.ndarray | None:
-    """(N,): margins and the thickness of meshes, as far as this is not drawn; of meshes that also have triangles, which
-    are drawn without, all of it.
+    """(N,): margins, plus the thickness of meshes as far as it is not drawn. Triangles are drawn without a thickness,
+    so a mesh that has triangles counts its whole thickness.
     """
     if scene._thickness is None:
         return None
@@ -377,7 +377,9 @@ def _found(hits: Any, scene: Scene, motion: AnyMotion, notes: list[str], name: s
         return hit, Marks.none()
     if isinstance(hits, TrajectoryContacts) != isinstance(motion, Trajectory):
         given = "of a trajectory" if isinstance(hits, TrajectoryContacts) else "of one step"
-        raise ValueError(f"{name}: are {given}, the motion is a {type(motion).__name__}: expected those of this motion")
+        raise ValueError(
+            f"{name}: are {given}, the motion is a {type(motion).__name__}: expected contacts of this motion"
+        )
     toi = hits.toi
     if isinstance(hits, PaddedContacts) and hits._found_toi is not None:
         toi = hits._found_toi  # `toi` is 0 in an incomplete result
@@ -396,9 +398,9 @@ def _found(hits: Any, scene: Scene, motion: AnyMotion, notes: list[str], name: s
 
 
 def thinned_paths(paths: RigidPaths | VertexPaths, waypoints: np.ndarray) -> RigidPaths | VertexPaths:
-    """The paths between some of the waypoints, 0 to S (first and last included): segments between neighbours stay as
-    they are; on others, none of which is the last, bodies move straight to where the next one begins and turn the
-    shorter way.
+    """The paths between some of the waypoints, 0 to S (first and last included). Segments between neighbouring
+    waypoints do not change. On other segments, none of which is the last, bodies move straight to where the next
+    segment begins, and turn the shorter way.
     """
     begin, end = waypoints[:-1], waypoints[1:]
     merged = np.flatnonzero(end > begin + 1)

@@ -31,7 +31,7 @@ _MOST_CHOICES = 1_000  # worlds in the list of the page; those of contacts are a
 _LEAST_SEGMENTS = 20
 # Bodies that are drawn, if there are so many, before waypoints of contacts.
 _LEAST_BODIES = 200
-# A mesh for which less is left is not simplified further; bodies are left out instead.
+# If less is left for a mesh, it is not simplified further; bodies are left out instead.
 _LEAST_MESH_BYTES = 2_000
 
 
@@ -80,7 +80,7 @@ def _thinned(animation: Animation, marks: Marks, notes: list[str]) -> tuple[Anim
     if isinstance(paths, RigidPaths):
         count = paths.start.shape[1]
         fitting = _MOST_ROWS // max(1, count)
-        # Of many bodies, some that do not collide make room for contacts.
+        # If there are many bodies, some that do not collide make room for contacts.
         crowded = _MOST_ROWS // max(1, int(animation.colliding.sum()), min(count, _LEAST_BODIES))
         fitting = max(fitting, min(crowded, needed_segments(marks)))
     else:
@@ -110,8 +110,8 @@ def _thinned(animation: Animation, marks: Marks, notes: list[str]) -> tuple[Anim
 
 
 def _order(animation: Animation) -> np.ndarray:
-    """Rows of bodies: colliding ones first; then, with worlds, their worlds, else the others in random order, so that
-    any prefix is a random sample.
+    """Rows of bodies: colliding ones first; then, with worlds, the other bodies of their worlds; else the others in
+    random order, so that any prefix is a random sample.
     """
     count, colliding = len(animation.shape_index), animation.colliding
     order = np.random.default_rng(0).permutation(count)
@@ -215,7 +215,7 @@ def _touching_vertices(animation: Animation, marks: Marks) -> dict[int, np.ndarr
 
 
 def _between_drawn(animation: Animation, marks: Marks, drawn: _Drawn, notes: list[str]) -> Marks:
-    """The contacts of which both bodies are drawn, by row of the bodies drawn."""
+    """The contacts whose two bodies are drawn, with rows of the drawn bodies."""
     place = np.full(len(animation.shape_index), -1)
     place[drawn.rows] = np.arange(len(drawn.rows))
     bodies = place[marks.bodies]

@@ -68,35 +68,37 @@ def show(
 ) -> Page | Path:
     """Shows bodies on their paths, and their contacts, on an interactive page: a time slider, play, next collision.
 
-    A contact's two bodies have two colours; its point and normal (from body i towards j) are drawn, in the world frame.
-    The page is one HTML file without outside scripts, below 5 MB, for browsers with WebGL 2. What does not fit is left
-    out, bodies that do not collide first, or simplified: a UserWarning and the page say what. Detection is not run.
+    The two bodies of a contact have two colours; its point and normal (from body i towards j) are drawn, in the world
+    frame. The page is one HTML file below 5 MB, without outside scripts, for browsers with WebGL 2. What does not fit
+    is simplified or left out, bodies that do not collide first; a UserWarning and the page say what. Detection is not
+    run.
 
-    Segments are drawn as capsules and points as balls, of their mesh's thickness, thin ones without: spheres and
-    capsules look like themselves. Triangles are drawn without a thickness, which is among the margins.
+    Segments are drawn as capsules and points as balls, with the thickness of their mesh (thin if it has none), so
+    spheres and capsules look like themselves. Triangles are drawn without their thickness, which counts among the
+    margins.
 
     Args:
         scene: the bodies.
         motion: their paths: a `RigidMotion`, `VertexMotion` or `Trajectory`; or a list of the motions of consecutive
-            steps, which all are `RigidMotion` or all `VertexMotion`.
+            steps, all `RigidMotion` or all `VertexMotion`.
         hits: the result of `pgccd.detect` for this scene and motion, any report, also a padded one; for a list of
-            steps, a list with the result, or None, of each. Default: contacts are not shown.
+            steps, a list with one result or None per step. Default: contacts are not shown.
         path: of a file to write: ".html", a page; ".png", a picture; or ".glb", a model for Blender and other viewers,
             which needs trimesh. Pictures and models have all bodies at the time of the first contact (at the start
-            without one). Default: in a notebook the page is displayed by the object returned; elsewhere it is written
-            to a temporary file and opened in the browser, or, without a display, its path is written to standard error.
-        fraction: body i moves on x_i(fraction_i t): a number or (N,) in [0, 1], such as `fraction` of
-            `pgccd.resolve`; not with a `Trajectory`; for a list of steps, one of these for each, or a number for all. A
-            box on the page switches to whole paths, on which contacts are. Not in pictures and models.
-        world: shows this world of the scene alone (`Scene.world`). Default: a page has a list of worlds to choose from.
+            without one). Default: a notebook displays the returned page; elsewhere it is written to a temporary file
+            and opened in the browser. Without a display, its path is written to standard error.
+        fraction: body i moves on x_i(fraction_i t): a number or (N,) in [0, 1], such as `fraction` of `pgccd.resolve`;
+            for a list of steps, a list with one of these per step, or a number for all. Not with a `Trajectory`. A box
+            on the page switches to the whole paths, on which the contacts are. Pictures and models ignore it.
+        world: shows only this world of the scene (`Scene.world`). Default: a page has a list of worlds to choose from.
         title: of the page. Default: numbers of bodies and contacts.
-        names: (N,) strings, of the bodies: a page says which two a contact is of. Default: numbers alone.
+        names: (N,) strings: names of the bodies, which a page shows at their contacts. Default: only numbers.
 
     Returns:
         The path, if one was given; else a `pgccd.viz.Page`.
 
     Raises:
-        TypeError, ValueError: naming the argument; `hits` are not those of this scene or motion.
+        TypeError, ValueError: naming the argument; also if `hits` are not of this scene or motion.
         OSError: the file cannot be written.
         ImportError: `path` ends in ".glb", and trimesh is not installed.
 
@@ -162,7 +164,7 @@ def _is_in_notebook() -> bool:
 
 
 def open_page(page: Page) -> bool:
-    """Writes the page to a temporary file, and opens it in the browser if there is a display; returns whether so."""
+    """Writes the page to a temporary file. Opens it in the browser if there is a display; returns whether it did."""
     with tempfile.NamedTemporaryFile(prefix="pgccd-", suffix=".html", delete=False) as file:
         path = page.save(file.name)
     has_display = sys.platform in ("darwin", "win32") or "DISPLAY" in os.environ or "WAYLAND_DISPLAY" in os.environ

@@ -35,7 +35,7 @@ class Live:
         self._handles: dict[str, Any] = {}
 
     def update(self, position: Tensor, orientation: Tensor | None = None, hits: PairColumns | None = None) -> None:
-        """Shows the bodies at one time; those that collide in orange, with the points and normals of contacts.
+        """Shows the bodies at one time, colliding ones in orange, with the points and normals of contacts.
 
         Args:
             position: (N, 3) of the meshes' origins, world frame, scene length units; or, without `orientation`, the
@@ -82,7 +82,7 @@ class Live:
             self._show_contacts(hits)
 
     def _look_at(self, points: np.ndarray) -> None:
-        """Where browsers that connect from now on look from: all bodies are in sight."""
+        """Sets where browsers that connect from now on look from: all bodies are in sight."""
         reach = max(shape.reach for shape in self._shapes)
         lower, upper = points.min(axis=0) - reach, points.max(axis=0) + reach
         centre, size = 0.5 * (lower + upper), float(np.linalg.norm(upper - lower))
@@ -125,12 +125,12 @@ class Live:
 
 
 def live(scene: Scene, *, host: str = "127.0.0.1", port: int = 8080) -> Live:
-    """Starts a view in the browser for a running program, such as a long simulation; `Live.update` changes it. For one
-    step or trajectory `pgccd.show` makes a file.
+    """Starts a view in the browser for a running program, such as a long simulation. `Live.update` changes it. For one
+    step or trajectory, use `pgccd.show`, which makes a file.
 
     Args:
         scene: the bodies.
-        host: interface of the server. Default: reached from this machine alone.
+        host: interface of the server. Default: only this machine can connect.
         port: of the server; if it is taken, the next free one.
 
     Raises:

@@ -21,14 +21,14 @@ COLOURS = np.array(
     ]
 )
 _FREE, _STATIC, _COLLIDING, _FIRST, _SECOND, _FAINT = range(6)
-# A body this much larger than one that it touches would fill the picture with the colour of contacts.
+# A body this much larger than a body that it touches would fill the picture with the colour of contacts.
 _LARGE = 4.0
 _ALL = slice(None)
 
 
 def faint_bodies(marks: Marks, static: np.ndarray, radius: np.ndarray) -> np.ndarray:
-    """(N,) bool: bodies that keep their colour in a contact, so that others are seen on them: static ones, such as
-    floors, and those much larger than a body that they touch.
+    """(N,) bool: bodies that keep their colour in a contact, so that other bodies stand out on them: static ones, such
+    as floors, and those much larger than a body that they touch.
 
     Args:
         marks: contacts.
@@ -69,7 +69,9 @@ def colours_at_first(animation: Animation) -> np.ndarray:
 def poses_at(
     paths: RigidPaths, segment: int | slice, time: float, rows: np.ndarray | slice = _ALL
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Positions (N, 3) and orientations (N, 4) of bodies that move on arcs; of many segments one after another."""
+    """Positions (N, 3) and orientations (N, 4) of bodies that move on arcs; for many segments, one segment after the
+    other.
+    """
     columns = (column[segment][..., rows, :] for column in (paths.start, paths.end, paths.orientation, paths.rotation))
     flat = (torch.from_numpy(np.ascontiguousarray(column.reshape(-1, column.shape[-1]))) for column in columns)
     start, end, turn, rotation = flat

@@ -21,8 +21,8 @@ _HEIGHT = 600  # pixels, in a notebook
 class Page:
     """A self-contained HTML page, below 5 MB, that shows bodies on their paths with WebGL 2. Notebooks display it.
 
-    From `Page.of`; of the nanorobot model, `pgccd.sim.page_of_steps`. What does not fit is left out (bodies that do not
-    collide first; waypoints of long trajectories; triangles of large meshes), and the page says so.
+    Made by `Page.of` or, for the nanorobot model, by `pgccd.sim.page_of_steps`. What does not fit is left out (bodies,
+    those that do not collide first; waypoints of long trajectories; triangles of large meshes), and the page says so.
 
     Attributes:
         html: text of the page.

@@ -14,8 +14,8 @@ from pgccd.viz.snapshot import Snapshot
 
 _RESTING = np.array([0.52, 0.62, 0.74])
 _PANEL = (1000, 900)
-# Robots are drawn with triangles of about six square pixels, and at least so many. Of robots with more triangles than
-# these in all, only some are drawn.
+# Robots are drawn with triangles of about six square pixels, and with at least this many. If the robots have more
+# triangles in all than this limit, only some robots are drawn.
 _FEWEST_TRIANGLES = 24
 _MOST_TRIANGLES = 16_000_000
 _TRIANGLES_AT_ONCE = 2_000_000

@@ -20,8 +20,8 @@ _BACKGROUND = 0.957, 0.965, 0.976
 # From the scene to the camera: where a page looks from at first.
 _BACK = np.array([np.cos(0.42) * np.cos(-1.07), np.cos(0.42) * np.sin(-1.07), np.sin(0.42)])
 _MARK, _FIRST_MARK = (0.65, 0.08, 0.20), (0.05, 0.05, 0.08)
-# Length of an arrow at the target, relative to the height of the picture; and the part of its distance from the camera
-# at which a mark is drawn instead, in the same size, so that no body is in front of it.
+# Length of an arrow at the target, relative to the height of the picture. A mark is drawn at this part of its distance
+# from the camera, in the same size, so that no body is in front of it.
 _ARROW, _NEARER = 0.09, 0.1
 _TRIANGLES_AT_ONCE = 1_000_000
 # Part of white in marks behind a surface; radius of the hole before a hidden contact, and what is left in front of the
@@ -34,7 +34,8 @@ _NEAR = 1e-3
 def write_png(path: Path, animation: Animation) -> Path:
     """Writes all bodies at the time of the first contact, or at the start if there is none, and the contacts of that
     time: points, and normals as arrows. The bodies of the first contact have two colours. Marks of contacts behind a
-    surface are pale; what hides the first contact is cut open, unless that is only one of the two bodies, from outside.
+    surface are pale. Bodies that hide the first contact are cut open, unless only one of its two bodies hides it, from
+    outside.
     """
     segment, time, at_time = first_moment(animation)
     bodies = vertices_at(animation, segment, time)
@@ -109,7 +110,7 @@ def _camera(corners: np.ndarray, bodies: list[np.ndarray]) -> Camera:
     target, radius = 0.5 * (low + high), float(np.linalg.norm(0.5 * (high - low))) or 1.0
     pixels = _FINER * _PIXELS[0], _FINER * _PIXELS[1]
     camera = Camera(target + 3.0 * radius * _BACK, target, 2.0 * radius, pixels)
-    # In the picture the bodies take less than their ball: the camera moves across, and the picture shrinks.
+    # In the picture the bodies take less room than their ball: the camera moves sideways, and the picture shrinks.
     right, up, _ = camera.axes
     flat = [camera.project(body)[:, :2] for body in bodies if len(body)]
     if flat:

@@ -10,9 +10,9 @@ import numpy as np
 from pgccd.geometry import shapes
 from pgccd.geometry.mesh import Mesh
 
-# Of elements without a thickness, in SBV radii of their mesh.
+# Radius of elements without a thickness, in SBV radii of their mesh.
 _THIN = 0.005
-# Up to so many elements in a mesh, each is drawn so finely: subdivisions of an icosahedron; sides and rings of a
+# Up to so many elements in a mesh, each is drawn this finely: subdivisions of an icosahedron; sides and rings of a
 # capsule's end.
 _BALLS = ((100, 2), (2_000, 1), (20_000, 0))
 _CAPSULES = ((100, (16, 3)), (2_000, (8, 2)))
@@ -44,8 +44,8 @@ class Shape:
         triangle_count: number of the mesh's triangles.
         vertex_count: number V of the mesh's vertices.
         thickness: distance of what is drawn from segments and points; 0 without any.
-        radius: such that all that is drawn is within it of the SBV centre.
-        reach: such that all that is drawn is within it of the origin.
+        radius: all that is drawn is within this distance of the SBV centre.
+        reach: all that is drawn is within this distance of the origin.
         segments: (S, 2) rows of the mesh's vertices.
         points: (P,) rows of the mesh's vertices.
     """
@@ -69,7 +69,7 @@ class Shape:
         return _vertices(positions, self.segments, self.points, self.thickness)
 
     def corners(self, face: int) -> np.ndarray:
-        """Rows of the mesh's vertices that one of its faces, or segments and points behind these, has."""
+        """Rows of the mesh's vertices of one of its faces, or of the segments and points that follow them."""
         if face < self.triangle_count:
             return self.faces[face]
         element = face - self.triangle_count
@@ -78,8 +78,8 @@ class Shape:
         return self.points[element - len(self.segments), None]
 
     def some(self, count: int, first: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """About so many of the segments and points, at random, in place of all; those of the rows `first` of the mesh's
-        vertices before others.
+        """About `count` of the segments and points, at random, in place of all; those with vertices in the rows `first`
+        come first.
 
         Returns:
             The rows of `vertices` that are left, and faces (g, 3) of them.
@@ -100,8 +100,9 @@ class Shape:
 
 
 def drawn(mesh: Mesh) -> Shape:
-    """What is drawn of a mesh: its triangles as they are, each segment as a capsule and each point as a ball; these
-    have the radius `mesh.thickness`, or a small one if that is 0, and fewer triangles the more of them there are.
+    """What is drawn of a mesh: its triangles as they are, each segment as a capsule and each point as a ball. Capsules
+    and balls have the radius `mesh.thickness`, or a small one if that is 0. The more of them there are, the fewer
+    triangles each has.
 
     Example:
         >>> pgccd.viz.shapes.drawn(pgccd.Mesh.sphere(0.5)).faces.shape
@@ -182,7 +183,7 @@ def _capsule(count: int) -> _Piece:
 
 
 def _capsule_of(sides: int, rings: int) -> _Piece:
-    """A prism with two ends of so many rings, each of which ends in a point: one pole, the rings in their order along
+    """A prism with two ends of `rings` rings, each of which closes in a point: one pole, the rings in their order along
     the segment, the other pole.
     """
     angle, here = 2.0 * np.pi * np.arange(sides) / sides, np.arange(sides)

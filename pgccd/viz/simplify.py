@@ -29,7 +29,7 @@ def level_within(costs: np.ndarray, budget: float) -> float:
 def simplified(
     vertices: np.ndarray, faces: np.ndarray, allowed: float, waypoints: int, keep: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Merges vertices that share a cell of a grid, the finest with which the mesh fits into `allowed` bytes.
+    """Merges vertices that share a cell of the finest grid with which the mesh fits into `allowed` bytes.
 
     Args:
         vertices: (V, 3).
@@ -38,7 +38,8 @@ def simplified(
         keep: row numbers of vertices that are not merged, if these take no more than half of the bytes.
 
     Returns:
-        The rows of `vertices` that are left, faces (f, 3) of them, and how far a vertex has been moved at most.
+        The rows of `vertices` that are left, faces (f, 3) of these rows, and the longest distance that a vertex was
+        moved.
     """
     lower = vertices.min(axis=0)
     extent = float((vertices.max(axis=0) - lower).max()) or 1.0

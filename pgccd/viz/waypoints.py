@@ -1,4 +1,4 @@
-"""Which waypoints of a long motion a page keeps: those of contacts, then those that bodies pass furthest from."""
+"""Which waypoints of a long motion a page keeps: those of contacts, then those furthest from the paths without them."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from pgccd import ops
 from pgccd.viz.animation import Animation, Marks, RigidPaths
 from pgccd.viz.raster import placed
 
-# Numbers that are looked at, of all waypoints together.
+# Numbers that are read, of all waypoints together.
 _MOST_NUMBERS = 6_000_000
 
 
 def chosen_waypoints(animation: Animation, marks: Marks, most: int) -> np.ndarray:
     """Ascending waypoints, `most` + 1 at most, 4 at least: the first, the last two, both ends of the segments of
-    contacts (of the first ones, if there are too many), and those that lie furthest from the straight paths between
-    the others, as far as some lie off these.
+    contacts (of the first contacts, if there are too many), and those that lie furthest from the straight paths between
+    the others, if any lie off these paths.
     """
     segments = animation.segment_count
     touched = np.unique(marks.segment)

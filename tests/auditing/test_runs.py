@@ -109,7 +109,7 @@ def test_files_that_are_not_rollouts(tmp_path: Path) -> None:
         ({"position": np.asfortranarray(x), "orientation": q}, "in Fortran order"),
         ({"position": x.astype(object), "orientation": q}, "expected an array"),
         ({"position": 1j * x, "orientation": q}, "position: expected numbers, got complex128"),
-        ({"position": x[:3], "orientation": q}, "expected as many frames in both"),
+        ({"position": x[:3], "orientation": q}, "expected the same number of frames in both"),
     ):
         np.savez(path, **columns)  # type: ignore[arg-type]
         with pytest.raises(ValueError, match=message):

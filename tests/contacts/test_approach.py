@@ -439,7 +439,7 @@ def test_refusals() -> None:
     without.append(pgccd.detect(scene, motion, capacity=Capacity.of(4, 100)).trim())
     for contacts in without:
         assert torch.equal(pgccd.approach_rates(scene, motion, contacts), rates)
-        with pytest.raises(ValueError, match="^hits: were not found by `detect` without a capacity"):
+        with pytest.raises(ValueError, match="^hits: expected contacts of `detect` without a capacity"):
             pgccd.approaching(scene, motion, contacts)
     in_capacity: Any = pgccd.detect(scene, motion, capacity=Capacity.of(4, 100))
     ways: list[Any] = [pgccd.approach_rates, pgccd.approaching]
@@ -465,7 +465,7 @@ def test_refusals() -> None:
             ask(pgccd.Scene([CUBE]), motion, hits)
         with pytest.raises(ValueError, match="^motion: has 1 bodies, the scene 2"):
             ask(scene, motion[:1], hits)
-    with pytest.raises(ValueError, match="^normals: captured steps have those of the \"features\", got 'surface'"):
+    with pytest.raises(ValueError, match="^normals: expected \"features\" for captured steps, got 'surface'"):
         pgccd.CapturedDetection(scene, motion, normals="surface")
     with pytest.raises(TypeError, match="^colour: expected one of "):
         pgccd.CapturedDetection(scene, motion, colour=1)  # type: ignore[call-overload]

@@ -399,8 +399,8 @@ def test_what_cannot_be_attached(tmp_path: Path) -> None:
     cases: list[tuple[tuple[Any, ...], dict[str, Any], type[Exception], str]] = [
         (("hand", CUBE, at(0)), {}, ValueError, "link: expected names of links, such as 'base', got 'hand'"),
         ((3, CUBE, at(0)), {}, ValueError, "link: expected names of links, such as 'base', got 3"),
-        (("base", CUBE, at(0)), {}, ValueError, "link: expected one that joints move, got 'base': what is fixed"),
-        (("link0", CUBE, at(0)), {}, ValueError, "link: expected one that joints move, got 'link0'"),
+        (("base", CUBE, at(0)), {}, ValueError, "link: expected a link that joints move, got 'base': what is fixed"),
+        (("link0", CUBE, at(0)), {}, ValueError, "link: expected a link that joints move, got 'link0'"),
         (("link2", CUBE.vertices, at(0)), {}, TypeError, "mesh: expected"),
         (("link2", CUBE, at(0), ["hand"]), {}, ValueError, "touching: expected names of links, .* got 'hand'"),
         (

@@ -206,7 +206,7 @@ def test_a_validator_of_motions(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"^goal: expected shape \(4,\)"):
         is_valid([0.0] * 4, [0.0] * 3)
     mesh = pgccd.Mesh.box([0.1, 0.1, 0.1])
-    with pytest.raises(ValueError, match="^obstacles: expected obstacles of one environment, .* got those of 3"):
+    with pytest.raises(ValueError, match="^obstacles: expected obstacles of one environment, .* got 3 environments"):
         robot.motion_validator(Obstacles([mesh], torch.full((3, 1, 3), 5.0)))
     assert robot.motion_validator(Obstacles([mesh], torch.full((1, 1, 3), 5.0)))([0.0] * 4, [0.1] * 4)
 

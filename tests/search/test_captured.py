@@ -110,7 +110,7 @@ def test_bad_arguments(device: torch.device) -> None:
     with pytest.raises(TypeError, match="^motion: expected a RigidMotion"):
         captured.load(pgccd.VertexMotion(x, x))
     pose = motions[0].position_t0, motions[0].orientation_t0, motions[0].position_t1, motions[0].rotation
-    with pytest.raises(ValueError, match="^motion: its path is 'linear', that captured 'rigid'"):
+    with pytest.raises(ValueError, match="^motion: expected path 'rigid' as captured, got 'linear'"):
         captured.load(pgccd.RigidMotion.from_rotation(*pose, path="linear"))
     assert "CapturedDetection(bodies=" in repr(captured)
 

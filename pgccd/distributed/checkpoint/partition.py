@@ -70,8 +70,8 @@ def load_partition(comm: Comm, stored: Stored, uniform: Partition) -> Partition:
     Args:
         comm: between the ranks.
         stored: the checkpoint.
-        uniform: the initial partition; returned if that of the checkpoint has other parameters, such as the number of
-            ranks.
+        uniform: the initial partition. It is returned if the partition in the checkpoint has other parameters, such as
+            the number of ranks.
 
     Raises:
         ValueError: the checkpoint is damaged; on all ranks.

@@ -1,6 +1,7 @@
 """Writing of checkpoints by all ranks: each writes its own rows, in the background.
 
-Not `torch.distributed.checkpoint`: its metadata are pickles, which run code when read, and its files have no hashes.
+`torch.distributed.checkpoint` is not used: its metadata are pickles, which run code when read, and its files have no
+hashes.
 """
 
 from __future__ import annotations
@@ -109,8 +110,8 @@ class CheckpointWriter:
                 done.result()
             finally:
                 if done.done():
-                    # It still frees its copies of the rows. If Python exited meanwhile, it would end the thread in the
-                    # middle of that, and C++ the process.
+                    # The thread still frees its copies of the rows. If Python exited meanwhile, it would end the thread
+                    # in the middle of this, and C++ would end the process.
                     thread.join()
 
     def _write(self, name: str, content: Content, tables: Mapping[str, Columns], error: str | None) -> Path:

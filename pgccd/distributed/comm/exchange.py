@@ -93,7 +93,8 @@ def take_rows(columns: Mapping[str, Tensor], rows: Tensor) -> Columns:
 
 
 def first_row(comm: Comm, order: Tensor, columns: Mapping[str, Tensor]) -> Columns:
-    """Of one row of each rank (or none), the first one by `order`; on all ranks. No rows if no rank has one.
+    """The first by `order` of the rows of all ranks, each of which has one row or none; on all ranks. No rows if no
+    rank has one.
 
     Args:
         comm: between the ranks.

@@ -1,7 +1,7 @@
 """Memory of each rank's GPU that the GPUs of all ranks write, for small messages within CUDA graphs.
 
-A kernel writes its message into the memory of the other GPUs and waits for theirs; so a message takes 4 us, and one of
-NCCL 16 us (two H100 linked by NVLink).
+A kernel writes its message into the memory of the other GPUs and waits for theirs. A message takes 4 us, with NCCL 16
+us (two H100 linked by NVLink).
 """
 
 from __future__ import annotations

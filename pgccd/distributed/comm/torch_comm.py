@@ -40,9 +40,7 @@ _TURN = timedelta(seconds=0.2)
 
 
 def finish(work: Any, guard: Guard) -> None:
-    """Waits for work of Gloo. Raises RuntimeError once the guard has a verdict; None, of work that has been done, is
-    not waited for.
-    """
+    """Waits for work of Gloo. Raises RuntimeError when the guard has a verdict. None stands for finished work."""
     while work is not None:
         try:
             work.wait(_TURN)

@@ -20,9 +20,9 @@ class RankOptions:
     """How the work is distributed over ranks. No result depends on it.
 
     Attributes:
-        partition: of space at the start: "cells" (`Cells.uniform`) or "bisection" (`Bisection.uniform`). "auto": that
-            of the checkpoint, or bisection; but cells if `axes` or `cells` is not the default or the policy of
-            `balance` is "one-cell".
+        partition: of space at the start: "cells" (`Cells.uniform`) or "bisection" (`Bisection.uniform`). "auto": as in
+            the checkpoint, else bisection; but cells if `axes` or `cells` is not the default or the policy of `balance`
+            is "one-cell".
         axes, cells: as for `Cells.uniform`.
         balance: options of load balancing.
         overlap: whether pairs of own bodies are tested while ghosts are sent.
@@ -71,7 +71,7 @@ class SearchOptions:
     @property
     def query(self) -> Query:
         """The options of each pass."""
-        # Rows are not in the order of ids, which breaks ties.
+        # Ties are broken by the order of ids, which is not the order of rows.
         report: narrow.SearchReport = "first" if self.report == "earliest" else self.report
         return Query(report, self.min_separation, self.tolerance, self.nonzero_toi, self.initial)
 

@@ -1,8 +1,8 @@
 """One rank's share of a step: pairs of own bodies, then pairs with ghosts.
 
-A pair of own bodies of which one reaches no other rank is this rank's. These pairs are searched while ghosts are sent;
-then ghosts are paired with the own bodies near them, and own bodies that reach other ranks with each other, on a GPU
-concurrently with that search.
+A pair of own bodies belongs to this rank if one of the two reaches no other rank. These pairs are searched while ghosts
+are sent. Then ghosts are paired with the own bodies near them, and own bodies that reach other ranks with each other;
+on a GPU concurrently with the first search.
 """
 
 from __future__ import annotations
@@ -117,8 +117,8 @@ def search_share(
         decomposition: of space.
         own: columns of this rank's own bodies, "id" ascending, that are sent for ghosts.
         bodies: the own bodies, made with `wait=False`; `stoppable` for pairs at any times.
-        complete: given the columns of ghosts, which their owners have validated, those of their scene and motion,
-            bitwise equal to what the owner has. Deforming bodies have those of their vertices besides.
+        complete: returns the columns of the scene and motion of ghosts, given the sent columns, which their owners have
+            validated. They equal the owner's, bit by bit. Deforming bodies also have the columns of their vertices.
         options: of the detection.
         estimates: of the capacities of passes.
         concurrent_work: given the share, enqueues work that runs concurrently with the search of own pairs.
@@ -293,9 +293,9 @@ def _with_changed(changed: Tensor, pairs: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _leave_out(columns: Columns, is_padding: Tensor) -> None:
-    """Makes rows of zeros (N,) bodies that no pair contains: of negative radius, in a valid pose. A pose without a unit
-    quaternion has no swept sphere: the NaN that is computed instead would not be left out by broad phases, and hide
-    pairs of others.
+    """Makes rows of zeros, marked by (N,), bodies that no pair contains: of negative radius, in a valid pose. A pose
+    without a unit quaternion has no swept sphere: broad phases would not leave out the NaN that is computed instead,
+    and it would hide pairs of other bodies.
     """
     columns["radius"] = columns["radius"].masked_fill(is_padding, -torch.inf)
     columns["orientation_t0"][:, 0].masked_fill_(is_padding, 1.0)

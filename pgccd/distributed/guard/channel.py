@@ -1,10 +1,11 @@
 """Messages between a rank and the hub: JSON lines over TCP, authenticated by the job's token.
 
 Both ends first prove that they have the token. From then on every line begins with its message authentication code
-(MAC), by a key that only these two ends know: who passes the proofs on cannot send, repeat, drop or exchange lines.
+(MAC), by a key that only these two ends know. A process in the middle that forwards the proofs cannot send, repeat,
+drop or exchange lines.
 
-Not `multiprocessing.connection`, which authenticates too: its listener waits for a process that connects and stays
-silent, and its messages are pickles.
+`multiprocessing.connection`, which authenticates too, is not used: its listener waits for a process that connects and
+stays silent, and its messages are pickles.
 """
 
 from __future__ import annotations

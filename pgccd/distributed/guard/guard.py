@@ -61,8 +61,8 @@ class Guard:
     Args:
         channel: to the hub; None: errors are passed on unchanged.
         rank: of this process.
-        timeout: seconds after which a pending exchange means that a rank hangs; those during which this process was
-            stopped do not count.
+        timeout: seconds after which a pending exchange means that a rank hangs. Time in which this process was stopped
+            does not count.
         hub: on rank 0.
 
     Example:
@@ -133,7 +133,7 @@ class Guard:
 
         Args:
             what: for messages.
-            may_last: whether it may take any time, since it waits for something else than messages.
+            may_last: whether it may take any time, because it waits for something other than messages.
         """
         with self._lock:
             self._exchanges += 1
@@ -154,8 +154,8 @@ class Guard:
             self._is_waiting = False
 
     def begin_call(self, name: str) -> bool:
-        """Notes a public call that all ranks make in the same order; the thread tells the hub. Calls within a call do
-        not count: False. After True, `end_call` must follow.
+        """Notes a public call that all ranks make in the same order; the thread tells the hub. Returns False for a call
+        within a call, which does not count. After True, `end_call` must follow.
 
         Raises:
             RankFailureError: there is a verdict.
@@ -181,7 +181,7 @@ class Guard:
 
     def fail_call(self, error: Exception) -> None:
         """Before `end_call`, if the call raises an error. Raises `RankFailureError` if ranks call different things,
-        from which the error may follow.
+        which may have caused the error.
         """
         if self._channel is None or isinstance(error, RankFailureError):
             return

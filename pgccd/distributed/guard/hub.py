@@ -23,7 +23,7 @@ _GREETING_SECONDS, _MOST_GREETINGS = 10.0, 64
 _ACCEPTED = 32
 # Time for a rank to answer, unless it is stopped or its interpreter is busy; and from one query to the next.
 _ANSWER_SECONDS, _SECOND_LOOK_SECONDS = 5.0, 2.0
-# Number of a question that is asked only for the calls that a rank tells before it answers.
+# Number of a question whose only purpose is that the rank first tells its calls.
 _CALLS = -1
 # Open files that a process needs besides the connections.
 _OTHER_FILES = 512
@@ -42,7 +42,9 @@ class _Member:
 
 @dataclass
 class _Inquiry:
-    """Queries of the progress of all ranks, until one shows no rank that may be at fault, or two show the same."""
+    """Queries of the progress of all ranks, until one query shows no rank that may be at fault, or two queries show the
+    same ranks.
+    """
 
     askers: dict[int, int]  #: ranks, and the number of the exchange that each asks about
     is_late: bool  #: whether an exchange took longer than the time-out
@@ -76,11 +78,11 @@ class Hub:
         self._is_final = False  # whether the verdict cannot be withdrawn
         self._inquiry: _Inquiry | None = None
         self._queries = 0
-        # By number: the first rank that made a call, its name, and how many have made it; and the ranks on which a call
-        # failed, with the error.
+        # By number of a call: the first rank that made it, its name, and how many ranks have made it; and the ranks on
+        # which it failed, with the error.
         self._calls: dict[int, tuple[int, str, int]] = {}
         self._failed_calls: dict[int, dict[int, str]] = {}
-        # Ranks that wait until all calls made so far have been compared, and those that may still tell some.
+        # Ranks that wait until all calls made so far have been compared, and ranks that may still tell calls.
         self._to_note: list[tuple[int, set[int]]] = []
         self._clock = TurnClock()
         #: Set once all ranks have joined.
@@ -288,7 +290,7 @@ class Hub:
         return f"rank {rank} has ended early" + (f": it failed in {errors[-1]}" if errors else "")
 
     def _note_failed(self, rank: int, number: int, text: str) -> None:
-        """A call has failed on a rank, perhaps not on all: those that wait in it must not do so for ever."""
+        """A call has failed on a rank, perhaps not on all: ranks that wait in it must not wait forever."""
         self._failed_calls.setdefault(number, {})[rank] = f"{self._members[rank].call}: {text}"
         for other, member in self._members.items():
             if other not in self._failed_calls[number]:

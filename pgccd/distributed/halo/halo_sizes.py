@@ -1,7 +1,7 @@
 """Numbers of bodies in the messages of a step, and capacities for the next one.
 
-Without capacities ranks exchange counts through the host before they send ghosts: a GPU would be busy with own pairs by
-then, and these small messages would wait for free multiprocessors. A CUDA graph can only send messages of fixed size.
+Without capacities ranks exchange counts through the host before they send ghosts. By then a GPU is busy with own pairs,
+and these small messages wait for free multiprocessors. A CUDA graph can only send messages of fixed size.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pgccd.distributed.comm.neighbourhood import Neighbourhood
 # A capacity is the last count times _SLACK plus _SOME (for small counts), rounded up to a multiple, so that buffers
 # rarely change size.
 _SLACK, _SOME, _MULTIPLE = 1.25, 64, 256
-# Bodies that have left their rank's cells, and stay until migration, reach far into those of others.
+# Bodies that have left their rank's cells, and stay until migration, reach far into cells of other ranks.
 _NEAR_SLACK = 2
 
 

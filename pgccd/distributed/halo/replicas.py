@@ -28,8 +28,8 @@ class Replicas:
         return ops.rows_by_rank(self.table, rows, self.counts, capacities)
 
     def overflow(self, capacities: list[int], found: Tensor | None = None, capacity: int = 0) -> Tensor:
-        """(1,) int64: 1 if a capacity is exceeded, that of a neighbour or of all bodies (`found` (1,) int64, if given),
-        or a body reaches a rank that is not a neighbour; else 0.
+        """(1,) int64: 1 if a capacity of a neighbour is exceeded, or the capacity of all bodies (by `found` (1,) int64,
+        if given), or if a body reaches a rank that is not a neighbour; else 0.
         """
         found = torch.zeros_like(self.counts[:1]) if found is None else found
         return ops.counts_to_send(self.counts, capacities, found, capacity)[0, 1:]

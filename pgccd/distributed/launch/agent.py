@@ -1,5 +1,5 @@
-"""torchrun's agent, the process that launches the ranks of a machine: its death while they start, before the guard
-watches it.
+"""Watches torchrun's agent, the process that launches the ranks of a machine, while the ranks start; later the guard
+does.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ _EXIT_CODE = 70
 
 @contextmanager
 def watching_agent(rank: int) -> Iterator[None]:
-    """Ends this process if torchrun's agent dies meanwhile: otherwise it would wait, as long as the time-out, for ranks
-    that the agent does not start any more, or for its store, in calls that cannot be interrupted.
+    """Ends this process if torchrun's agent dies meanwhile. Otherwise the process would wait until the time-out, in
+    calls that cannot be interrupted, for the agent's store or for ranks that the agent no longer starts.
 
     Args:
         rank: of this process.

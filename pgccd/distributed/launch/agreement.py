@@ -1,7 +1,7 @@
 """Agreement at the start: all ranks compare their configurations, and an error of one rank is raised on all.
 
-No launcher or library compares them: ranks with different options would hang in their first exchange, or compute
-different worlds.
+No launcher or library compares configurations: ranks with different options would hang in their first exchange, or
+compute different worlds.
 """
 
 from __future__ import annotations

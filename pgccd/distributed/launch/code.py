@@ -21,8 +21,8 @@ from pgccd.ops import build_information
 
 @functools.cache
 def code_facts() -> dict[str, str]:
-    """What must be equal on all ranks whatever they do, by name. Binaries are not compared: they differ from build to
-    build of the same sources.
+    """Facts that must always be equal on all ranks, by name. Binaries are not compared, because builds of the same
+    sources differ.
     """
     return {
         "pgccd": pgccd.__version__,
@@ -45,12 +45,13 @@ def digest_of_files(package: Path) -> str:
 
 
 def code_of(function: Callable[..., Any]) -> str:
-    """A function's name and a digest of its code, not of its place in a file: equal on ranks that run the same.
+    """A function's name and a digest of its code, not of its place in a file: equal on ranks that run the same
+    function.
 
-    Lambdas, partial functions, methods and objects with `__call__` are covered, with the numbers and functions in their
-    closures, defaults and arguments and among the globals that they read, within tuples, lists and dictionaries too; of
-    globals the functions of the same package. Texts, tensors and other objects are not compared, since they may differ
-    between ranks, as devices do.
+    Lambdas, partial functions, methods and objects with `__call__` are covered. The digest includes the numbers and
+    functions in their closures, defaults and arguments and among the globals that they read, also within tuples, lists
+    and dictionaries; of globals only functions of the same package. Texts, tensors and other objects are not compared,
+    since they may differ between ranks, as devices do.
     """
     digest = hashlib.sha256()
     _add(digest, function, set())

@@ -33,7 +33,7 @@ TRANSPORTS: tuple[str, ...] = get_args(Transport)
 DEFAULT_TIMEOUT = 300.0
 # Time for the hub to handle what ranks have sent before they agreed.
 _JOINED_SECONDS = 10.0
-# By which Gloo and NCCL choose an interface.
+# Environment variables by which Gloo and NCCL choose an interface.
 _INTERFACES = ("GLOO_SOCKET_IFNAME", "NCCL_SOCKET_IFNAME")
 
 
@@ -58,18 +58,18 @@ def connect(
     settings: Mapping[str, str] | None = None,
     group: dist.ProcessGroup | None = None,
 ) -> Comm:
-    """Connects all processes that were launched together, or those of a process group of torch.distributed; a single
-    rank without a launcher.
+    """Connects all processes that were launched together, or those of a process group of torch.distributed. Without a
+    launcher there is a single rank.
 
     Args:
         device: of the data.
         transport: "nccl", "gloo", "torch-mpi" (torch's MPI backend, if it was built with one), "mpi4py", or "auto":
             NCCL if every rank has a GPU of its own, else Gloo.
         timeout: seconds after which a pending exchange ends the job.
-        settings: of the program, by name; compared between ranks first, together with the arguments above.
+        settings: of the program, by name. They are compared between ranks first, together with the arguments above.
         group: a process group whose ranks all call this; it is not destroyed by `Comm.close`. Default: the default
-            process group if it has been initialised, else one is made. Its own time-out ends exchanges too: give it a
-            long one, so that the guard names the rank at fault.
+            process group if it has been initialised, else a new one. The group's own time-out ends exchanges too: give
+            it a long one, so that the guard can name the rank at fault.
 
     Raises:
         DisagreementError: ranks have different settings; on all of them.
@@ -184,7 +184,7 @@ def tell_problem(problem: str, timeout: float = DEFAULT_TIMEOUT) -> NoReturn:
 
 
 def _start_guard_on_all(meeting: Meeting, placement: Placement, timeout: float) -> Guard:
-    """The guard. If the hub rejects a rank, the others do not wait for it, but fail too."""
+    """The guard. If the hub rejects a rank, the other ranks fail too instead of waiting for it."""
     guard, problem = None, {}
     try:
         guard = _start_guard(meeting, placement, timeout)
@@ -217,7 +217,7 @@ def _start_guard(meeting: Meeting, placement: Placement, timeout: float) -> Guar
 
 
 def _require_all(guard: Guard, placement: Placement) -> None:
-    """Rank 0 goes on only once all ranks have proved to the hub that they belong to the job.
+    """Rank 0 goes on only when all ranks have proved to the hub that they belong to the job.
 
     Raises:
         RuntimeError: a process without the token is in the place of a rank.
@@ -231,7 +231,8 @@ def _require_all(guard: Guard, placement: Placement) -> None:
 
 def _use_interface(guard: Guard, meeting: Meeting, placement: Placement) -> None:
     """Makes Gloo and NCCL use the interface of the guard's connection, unless another one is configured. By themselves
-    they look up the machine's name, which may be unknown, or be that of the loopback interface (127.0.1.1 on Debian).
+    Gloo and NCCL look up the machine's name, which may be unknown, or belong to the loopback interface (127.0.1.1 on
+    Debian).
     """
     if meeting.is_local:
         _keep_to_this_machine()

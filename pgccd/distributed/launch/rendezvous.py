@@ -1,7 +1,7 @@
 """Rendezvous of the ranks of a job through a common store.
 
-Torchrun's store is used where there is one. `init_process_group` does not start from the variables of mpirun or srun,
-and reuses the keys of a start before a restart.
+Torchrun's store is used where there is one. `init_process_group` alone does not suffice: it does not read the variables
+of mpirun or srun, and after a restart it reuses the keys of the start before.
 """
 
 from __future__ import annotations
@@ -175,8 +175,8 @@ class _AddressFile:
             path.unlink(missing_ok=True)
 
     def wait(self, timeout: float) -> tuple[str, int]:
-        """Other ranks: the first of its addresses that can be reached. The file may be one that an earlier start of the
-        step has left: then nothing answers, and it is read again.
+        """Other ranks: the first address of rank 0 that can be reached. The file may be left from an earlier start of
+        the step: then nothing answers, and the file is read again.
 
         Raises:
             RuntimeError: after `timeout` seconds.

@@ -32,15 +32,15 @@ class BalanceOptions:
     """Options of load balancing.
 
     Attributes:
-        policy: "cost": several cells per step, by the predicted cost of each. "measured": the same, weighted by the
-            measured speed of each rank, so that the assignment (never the result) differs from run to run. "one-cell":
+        policy: "cost": moves several cells per step, by the predicted cost of each. "measured": the same, weighted by
+            the measured speed of each rank; the assignment (never the result) then differs from run to run. "one-cell":
             the policy of Du, Liu & Suzumura 2017, 4.2. "none": cells keep their owners.
         threshold: one-cell: minimum difference between the most and the least loaded rank, relative to the most loaded.
         start, goal: cost: balancing starts once the largest load exceeds the mean by the fraction `start`, and ends at
             `goal`.
         moving, horizon: cost: moving a body costs `moving` body-steps; the gain is counted over `horizon` steps.
         deciding: cost: a decision, with its sums over all ranks, costs as much as `deciding` bodies of one rank in one
-            step. It is made once the steps since the last one have lost more by imbalance.
+            step. It is made when the steps since the last decision have lost more than this by imbalance.
         most_moves: cost: maximum number of cells moved in one step, per rank.
         every: steps between decisions.
 
@@ -76,7 +76,7 @@ class BalanceOptions:
 
 
 class BackOff:
-    """Exponential back-off of decisions. After a decision that moves nothing, the interval doubles: otherwise loads
+    """Exponential back-off of decisions. After a decision that moves nothing, the interval doubles. Otherwise loads
     that no move can balance would cost a decision, and a sum over all cells, in every step.
 
     Example:
@@ -144,7 +144,7 @@ class RankLoads:
 
     @property
     def lost(self) -> float:
-        """By how much the largest cost of a rank exceeds the mean, in bodies: what the step has lost by imbalance."""
+        """The largest cost of a rank less the mean, in bodies: what the step has lost by imbalance."""
         cost = self._cost
         return max(cost) - sum(cost) / len(cost)
 

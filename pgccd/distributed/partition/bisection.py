@@ -20,8 +20,8 @@ from pgccd.distributed.partition.interface import Partition, Point, box_given
 _BINS, _ZOOMS = 64, 4
 # Cells per axis of a rank's part, used to find own bodies near ghosts.
 _CELLS = 16
-# Parts are neighbours if the gap between them is at most this fraction of their shortest edges: planes in different
-# branches of the tree differ slightly, so parts that meet in an edge or a corner of bodies' size need not touch.
+# Parts are neighbours if the gap between them is at most this fraction of their shortest edges. Planes in different
+# branches of the tree differ slightly, so parts that nearly meet in an edge or a corner need not touch.
 _NEAR = 1.0 / 8.0
 # Maximum distance of a plane outside of the part that it divides, relative to the box's largest coordinate.
 _SLACK = 1e-12

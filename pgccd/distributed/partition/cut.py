@@ -23,7 +23,7 @@ DEFAULT_AXES, DEFAULT_CELLS = 3, 16
 
 @dataclass(frozen=True)
 class Cut:
-    """How space is divided at the start. Fields as for `World`."""
+    """How space is divided at the start. Fields as for `WorldOptions` and `World.create`."""
 
     partition: str
     lower: Point
@@ -57,13 +57,13 @@ class Cut:
         return math.prod(check_cells(self.axes, self.cells)) if self._kind(balance, None) == "cells" else 0
 
     def _kind(self, balance: BalanceOptions, former: str | None) -> str:
-        """For "auto" that of the checkpoint, or bisection, unless other options ask for cells."""
+        """For "auto", the kind in the checkpoint, or bisection, unless other options ask for cells."""
         arguments.choice(self.partition, "partition", PARTITION_CHOICES)
         if not isinstance(balance, BalanceOptions):
             raise TypeError(f"balance: expected BalanceOptions, got {arguments.describe(balance)}")
         needs_cells = balance.policy == "one-cell"
         if self.partition == "bisection" and needs_cells:
-            raise ValueError('balance: "one-cell" moves cells; with partition "bisection" there are none')
+            raise ValueError('balance: "one-cell" moves cells, but partition "bisection" has none')
         if self.partition != "auto":
             return self.partition
         given = self.axes, self.cells

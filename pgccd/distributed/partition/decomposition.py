@@ -14,9 +14,9 @@ from pgccd.distributed.partition.interface import Partition
 class Decomposition:
     """A partition of space, and the ranks with which this rank exchanges bodies. Made by all ranks together.
 
-    Up to `Comm.neighbours_above` ranks, all are neighbours. Above, the partition defines neighbours by position, and
-    `extend` adds ranks that bodies reach in spite of it (large or fast bodies, thin parts), for as long as the
-    partition lasts. Operators name ranks by their numbers in `neighbours`.
+    Up to `Comm.neighbours_above` ranks, all ranks are neighbours. Above, the partition defines neighbours by position,
+    and `extend` adds further ranks that bodies reach (large or fast bodies, thin parts), for as long as the partition
+    lasts. Operators name ranks by their numbers in `neighbours`.
 
     Args:
         comm: between the ranks.

@@ -12,8 +12,8 @@ from pgccd.distributed.steps.rank import Rank
 from pgccd.runtime.replayed_steps import ReplayedSteps
 from pgccd.runtime.transaction import Replay, TransactionGraph
 
-# Bodies that have left their rank's cells migrate once they exceed the number of ghosts over this (each may be a
-# ghost).
+# Bodies that have left their rank's cells migrate when there are more of them than the number of ghosts divided by this
+# (each may be a ghost).
 _MOST_AWAY = 4
 # Spare rows for arriving bodies: this fraction of the own bodies, plus a constant.
 _OWN_SHARE, _OWN_MORE = 16, 256

@@ -1,4 +1,4 @@
-"""Functions of the user in a loop of steps of a `World`: what they are passed, and checks of what they return."""
+"""Functions of the user in a loop of steps of a `World`: their arguments, and checks of what they return."""
 
 from __future__ import annotations
 
@@ -34,16 +34,16 @@ class Bodies:
     step: Tensor
 
 
-#: The motion of the next step; or also new values of the payload by name, which the response finds in the bodies.
+#: The motion of the next step; or (motion, new values of the payload by name), which the response finds in the bodies.
 Motion = Callable[[Bodies], RigidMotion | tuple[RigidMotion, Columns]]
-#: From the bodies at t0, their motion, and the first toi of each (N,), inf without a contact, 0 throughout if the
-#: search of any rank was incomplete: the position at the end of the step as "position", and other values of the payload
-#: by name.
+#: From the bodies at t0, their motion, and the first toi of each (N,), inf without a contact, 0 for all if the search
+#: of any rank was incomplete: the position at the end of the step as "position", and new values of the payload by name.
 Response = Callable[[Bodies, RigidMotion, Tensor], Columns]
 #: The bodies (N,) bool that may be stopped in the next step.
 Movable = Callable[[Bodies], Tensor]
 #: From the bodies after a step, the motion and the answer that the response was passed, and the contacts of the whole
-#: step, each of which one rank found: pairs (K, 2) int64 of ids, -1 for padding, and toi (K,): numbers (k,) int64.
+#: step that this rank found, as pairs (K, 2) int64 of ids, -1 for padding, and toi (K,): numbers (k,) int64. Each
+#: contact is found by one rank.
 Tally = Callable[[Bodies, RigidMotion, Tensor, Tensor, Tensor], Tensor]
 
 
@@ -53,12 +53,12 @@ def bodies_of(columns: Columns, step: Tensor) -> Bodies:
 
 
 def motion_of(motion: Motion, bodies: Bodies) -> tuple[RigidMotion, Bodies, Columns]:
-    """The motion of a step, the bodies with the values that the user's function changed, and these values."""
+    """The motion of a step, the bodies with the values that the user's function changed, and the changed values."""
     made, changed = motion(bodies), dict[str, Tensor]()
     if isinstance(made, tuple) and len(made) == 2 and isinstance(made[1], dict):
         made, changed = made
     if not isinstance(made, RigidMotion):
-        expected = "a pgccd.RigidMotion, or one with new values of the payload by name, to be returned"
+        expected = "a pgccd.RigidMotion, or (motion, new values of the payload by name), to be returned"
         raise TypeError(f"motion: expected {expected}, got {arguments.describe(made)}")
     for name, values in changed.items():
         if name not in bodies.payload:

@@ -40,7 +40,7 @@ def scene_columns(columns: Columns) -> Columns:
 
 
 def columns_to_send(id: Tensor, bodies: MovingBodies) -> Columns:
-    """The columns of bodies in motion that other ranks need; those of vertices are sent apart.
+    """The columns of bodies in motion that other ranks need. Columns of vertices are sent separately.
 
     Args:
         id: (N,) int64.
@@ -52,13 +52,13 @@ def columns_to_send(id: Tensor, bodies: MovingBodies) -> Columns:
 
 
 def motion_facts(motion: Any, path: str, meshes: MeshSet, mesh_index: Tensor) -> dict[str, Any]:
-    """What must be equal on all ranks about the motion of bodies of these meshes (N,).
+    """Facts about the motion of bodies with these meshes (N,) that must be equal on all ranks.
 
     Args:
         path: of the world.
 
     Raises:
-        TypeError, ValueError: it is no motion, or that of other bodies or vertices, or along another path.
+        TypeError, ValueError: it is no motion, or has another number of bodies or vertices, or another path.
     """
     arguments.instance(motion, "motion", RigidMotion, VertexMotion, Trajectory)
     motion._refuse_gradient()
@@ -77,7 +77,7 @@ def motion_facts(motion: Any, path: str, meshes: MeshSet, mesh_index: Tensor) ->
     if given != expected:
         raise ValueError(f"motion: has {given} {what}, this rank owns {expected}")
     if not isinstance(motion, VertexMotion) and not deforms and motion.path != path:
-        raise ValueError(f"motion: its path is {motion.path!r}, the world's {path!r}")
+        raise ValueError(f"motion: its path is {motion.path!r}, the world's is {path!r}")
     if isinstance(motion, Trajectory):
         motion._margins(None, len(mesh_index))  # checks their number
     return facts
@@ -114,7 +114,7 @@ def from_all_ranks(comm: Comm, values: Tensor) -> Tensor:
 
 
 def unknown_ids(comm: Comm, own: Tensor, asked: Tensor) -> Tensor:
-    """Those of the ids (M,), the same on all ranks, that no rank owns; `own` (N,) may be in any order."""
+    """The ids among (M,), equal on all ranks, that no rank owns; `own` (N,) may be in any order."""
     if not len(asked):
         return asked
     return asked[comm.sum(torch.isin(asked, own).to(torch.int64)) == 0]
@@ -181,7 +181,7 @@ def _on_host(columns: Columns) -> Columns:
 
 
 def payload_asked(payload: Collection[str], columns: Columns) -> list[str]:
-    """The names in `columns` of those that contacts are to carry, in the same order on all ranks.
+    """The names in `columns` of the payload that contacts are to carry, in the same order on all ranks.
 
     Args:
         payload: as for `World.step`.
@@ -234,8 +234,8 @@ def new_values(new: Mapping[str, Tensor], columns: Columns, vertices: Columns) -
 
 
 def require_positions(position: Tensor) -> Tensor:
-    """Positions (N, 3). Raises TypeError or ValueError if they are none, naming the first that is not finite, or too
-    large.
+    """Positions (N, 3). Raises TypeError or ValueError if they are no positions, naming the first one that is not
+    finite or too large.
     """
     position = arguments.real_tensor(position, "position")
     arguments.refuse_gradient(position, "position")

@@ -41,32 +41,33 @@ from pgccd.runtime.sizes import COUNT_ROWS
 class CapturedWorld(RankSteps[WorldStep, Committed, "WorldGraph"]):
     """A loop of steps of a `World`: motion, detection, response.
 
-    On GPUs (over NCCL, if there are several) a step is the replay of one CUDA graph per rank, with messages and both
+    On GPUs (over NCCL, if there are several) a step is a replay of one CUDA graph per rank, with messages and both
     functions, and the host waits only for the record of the previous step. A step that exceeds a capacity changes
-    nothing, and is repeated eagerly; so are the last step of `run` and steps in which bodies migrate.
-    Elsewhere all steps run eagerly. The results are bitwise equal. In a step that will be repeated, or for
-    which an error will be raised, contacts may be missing on any rank: `response` is then passed a first toi of 0 for
-    every body of every rank.
+    nothing and is repeated eagerly. The last step of `run`, and steps in which bodies migrate, run eagerly too.
+    Otherwise all steps run eagerly. The results are equal, bit by bit. In a step that will be repeated, or for which an
+    error will be raised, contacts may be missing on any rank: `response` then gets a first toi of 0 for every body of
+    every rank.
 
     Args:
         world: with report="first".
         motion: called with the rank's `Bodies`. On a GPU it may only enqueue work, see `torch.cuda.graph`. It may
-            return (motion, payload), new values (N, ...) by name: `response` and `tally` find them in the bodies, and
-            they are committed with the step, where the response has no others.
+            return (motion, payload), with new values (N, ...) by name: `response` and `tally` find them in the bodies.
+            They are committed with the step, unless the response returns other values for the same name.
         response: called with the `Bodies`, the motion, and the first toi of each (N,) float64; returns new values by
             name: "position" (N, 3) and any payload. It may only enqueue work, too. All ranks call it in each step, so
-            it may reduce values over them.
+            it may reduce values over the ranks.
         graph: whether steps are replayed, the same on all ranks. Default: if possible.
-        resolve: resolves each step, see `World.step`: `response` is passed the shortened motion, and instead of the
-            first toi the fraction (N,) float64 of its path that each body moves; 1 where nothing stopped it. The
-            shortened motion is not tested again: its lists would not be read. Steps run eagerly if the world's path is
-            "linear", and after one in which four times as many pairs may meet at any two times as at equal times.
+        resolve: resolves each step, see `World.step`. `response` then gets the shortened motion and, instead of the
+            first toi, the fraction (N,) float64 of its path that each body moves; 1 where nothing stopped it. The
+            shortened motion is not tested again, because the lists of that test would not be read. Steps run eagerly if
+            the world's path is "linear", and after a step in which four times as many pairs may meet at any two times
+            as at equal times.
         movable: with `resolve`, called with the `Bodies`; returns (N,) bool, the bodies that may be stopped. Default:
             all.
         tally: called after `response` with the `Bodies` after the step, the motion and the answer that the response was
             passed, and the contacts of the whole step that this rank found: pairs (K, 2) int64 of ids, -1 for padding,
-            and toi (K,). Returns numbers (k,) int64, the same k in each step, whose sums over the ranks are
-            `WorldStep.tally`. In a graph it may only enqueue work; rows with negative ids are padding.
+            and toi (K,). Returns numbers (k,) int64, with the same k in each step; `WorldStep.tally` has their sums
+            over the ranks. In a graph it may only enqueue work; rows with negative ids are padding.
 
     Attributes:
         comm: between the ranks.
@@ -102,12 +103,12 @@ class CapturedWorld(RankSteps[WorldStep, Committed, "WorldGraph"]):
         if not isinstance(world, World):
             raise TypeError(f"world: expected a pgccd.distributed.World, got {arguments.describe(world)}")
         if world.options.report != "first":
-            raise ValueError(f'world: expected one with report="first", this has {world.options.report!r}')
+            raise ValueError(f'world: expected one with report="first", got {world.options.report!r}')
         for name, function in (("motion", motion), ("response", response)):
             if not callable(function):
                 raise TypeError(f"{name}: expected a function, got {arguments.describe(function)}")
         if world.vertex_payload:
-            raise ValueError("world: expected one without vertex_payload: its motion is rigid")
+            raise ValueError("world: expected one without vertex_payload, since its motion is rigid")
         if not arguments.flag(resolve, "resolve") and movable is not None:
             raise ValueError("movable: can only be given with resolve=True")
         for name, choice in (("movable", movable), ("tally", tally)):
@@ -115,7 +116,7 @@ class CapturedWorld(RankSteps[WorldStep, Committed, "WorldGraph"]):
                 raise TypeError(f"{name}: expected a function, got {arguments.describe(choice)}")
         may_replay = not resolve or world.options.path == "rigid"
         if graph and not may_replay:
-            raise ValueError("graph: steps on linear paths that are resolved cannot be replayed; leave it out")
+            raise ValueError("graph: resolved steps on linear paths cannot be replayed; leave it out")
         graph = may_replay and can_replay(world.comm, world.id.device) if graph is None else graph
         super().__init__(world._rank, graph)
         self.comm = world.comm
@@ -193,7 +194,7 @@ class CapturedWorld(RankSteps[WorldStep, Committed, "WorldGraph"]):
         return motion.shortened(found.fraction), found.fraction, found.rounds
 
     def _fits(self, graph: WorldGraph) -> bool:
-        # Bodies that were added may have brought columns; all ranks have the same.
+        # Added bodies may have brought new columns, which all ranks then have.
         has_same_columns = graph.columns.keys() == self._columns.keys()
         return has_same_columns and graph.options is self._world._search_options and super()._fits(graph)
 
@@ -203,7 +204,7 @@ class CapturedWorld(RankSteps[WorldStep, Committed, "WorldGraph"]):
             assert world.found is not None
             if not (world._resolution_plan.lists and world.found.options.at_any_times):
                 return None
-        # Without bodies there is none whose columns could be padding.
+        # Without bodies there are no columns for padding.
         return super()._try_to_capture(index) if world.id_checksum.count else None
 
     def _graph_of(self, index: int, decomposition: Decomposition, sizes: HaloSizes, rows: int) -> WorldGraph:

@@ -23,7 +23,7 @@ Movable = Tensor | Sequence[bool] | None
 
 @dataclass(frozen=True, kw_only=True)
 class WorldOptions(RankOptions):
-    """Options of a `World`, equal on all ranks; besides the attributes of `RankOptions`:
+    """Options of a `World`, equal on all ranks. In addition to the attributes of `RankOptions`:
 
     Attributes:
         report, min_separation, tolerance, nonzero_toi, initial: as for `pgccd.detect`.
@@ -41,7 +41,7 @@ class WorldOptions(RankOptions):
     path: PathKind = "rigid"
 
     def _search(self, exclude: Tensor | None) -> SearchOptions:
-        """The options of a search that leaves out pairs (E, 2) of ids."""
+        """The options of a search without pairs (E, 2) of ids."""
         lengths = self.min_separation, self.tolerance
         search = SearchOptions(self.report, *lengths, self.nonzero_toi, self.broad_phase, self.overlap, self.initial)
         return replace(search, excluded=Excluded.of(exclude))

@@ -29,7 +29,7 @@ class OwnBodies:
 
     @property
     def position(self) -> Tensor:
-        """(N, 3) float64: positions of their origins, as last given."""
+        """(N, 3) float64: positions of the origins of these bodies, as last given."""
         return self.columns["position"]
 
     @property
@@ -66,7 +66,7 @@ class OwnBodies:
             (...) int64: -1 for bodies that this rank does not own. It sends no messages.
 
         Raises:
-            TypeError, ValueError: they are no int64 tensor, or on another device.
+            TypeError, ValueError: `ids` is no int64 tensor, or is on another device.
 
         Example:
             >>> row = world.rows_of(hits.pairs)  # (K, 2)

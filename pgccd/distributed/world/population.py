@@ -31,7 +31,7 @@ _DEFAULTS: dict[str, tuple[float, torch.dtype]] = {
 
 
 def with_more(comm: Comm, state: WorldState, bodies: NewBodies) -> tuple[WorldState, Tensor]:
-    """A world with more bodies, which are on the ranks that passed them; see `World.add`.
+    """A world with more bodies, on the ranks that passed them; see `World.add`.
 
     Args:
         comm: between the ranks.
@@ -95,7 +95,7 @@ def without(comm: Comm, state: WorldState, ids: Tensor) -> WorldState:
 
     together(comm, check)
     mine = rows_of(own, ids)
-    # Few ids are those of bodies of other ranks, usually: all ranks look for them.
+    # Usually few ids belong to bodies of other ranks; all ranks look for these.
     asked = from_all_ranks(comm, ids[mine < 0].unique())
     theirs = rows_of(own, asked)
     unknown = unknown_ids(comm, own, asked)
@@ -132,7 +132,7 @@ def _kind(column: Tensor) -> str:
 
 
 def _completed(columns: Columns, like: Columns) -> Columns:
-    """The columns, with default values for optional ones that only other bodies have."""
+    """The columns, with default values for optional columns that only other bodies have."""
     id = columns["id"]
     missing = {name: _DEFAULTS[name] for name in _DEFAULTS if name in like and name not in columns}
     return columns | {

@@ -1,12 +1,12 @@
 """Steps of a `World` in which no two bodies meet: `pgccd.resolve` over ranks.
 
-On arcs, each rank resolves all bodies that it holds, ghosts included: the ghosts of the whole step suffice, as a
+On arcs, each rank resolves all bodies that it holds, ghosts included. The ghosts of the whole step suffice, because a
 shortened arc is a part of the whole one. In a round, a rank searches its share of the pairs that may meet at any two
 times, and all ranks that hold a body agree on its first toi.
 
-Where that list would be long, and on other paths, a round is a detection on the shortened paths, as in
-`pgccd.resolution.search`: each rank shortens the paths of its own bodies and sends ghosts anew. The rank that tests a
-pair tells the owners of its bodies, which apply the rule.
+If the list of these pairs would be long, and on other paths, a round is a detection on the shortened paths, as in
+`pgccd.resolution.search`: each rank shortens the paths of its own bodies and sends ghosts again. The rank that tests a
+pair tells the owners of the two bodies, which apply the rule.
 """
 
 from __future__ import annotations
@@ -47,13 +47,13 @@ from pgccd.search.passes import SearchPass, pairs_of_rounds, search_seconds
 class WorldResolution(Resolution[M], Generic[M]):
     """How far the N own bodies of a rank move in a step of a `World` such that none meets another.
 
-    Values are equal to those of `pgccd.resolve`, to the bit, for any number of ranks; bodies are named by global ids.
+    Values equal those of `pgccd.resolve`, bit by bit, for any number of ranks. Bodies are named by global ids.
 
     Attributes:
-        motion, fraction, rounds: as of `pgccd.Resolution`, of this rank's own bodies.
+        motion, fraction, rounds: as for `pgccd.Resolution`, of this rank's own bodies.
         stopped_by: (N,) int64, global id of the body whose contact stopped this one; -1 where `fraction` is 1.
-        touching_at_start, unresolved: (S, 2), (U, 2) int64 pairs of global ids i <= j, sorted, of which this rank owns
-            a body; a pair of bodies of two ranks is listed on both.
+        touching_at_start, unresolved: (S, 2), (U, 2) int64 pairs of global ids i <= j, sorted, with a body that this
+            rank owns. A pair of bodies of two ranks is listed on both.
         hits: the first contacts of these bodies on their whole paths, as from `World.step` with report="first" and
             nonzero_toi=True.
     """
@@ -65,7 +65,7 @@ class WorldResolution(Resolution[M], Generic[M]):
 
 @dataclass
 class ResolutionPlan:
-    """What earlier steps of a `World` needed; the same on all ranks, but for capacities. It changes how rounds are
+    """What earlier steps of a `World` needed; equal on all ranks, except for capacities. It changes how rounds are
     searched, never the result.
     """
 
@@ -190,7 +190,7 @@ class _SentAnew:
         return [self.found]
 
     def look_again(self) -> None:
-        """Nothing can have exceeded a capacity."""
+        """Nothing to do: no capacity can have been exceeded."""
 
     def find_round(
         self, changed: Tensor, fraction: Tensor, _capacity: BufferSizes, _first: Tensor
@@ -305,7 +305,7 @@ def _of_own(whole: Share, columns: Columns) -> Found:
 
 
 def _of_owners(held: LocalBodies, by: Tensor) -> Tensor:
-    """(N,): of own bodies, the least of the values (N + G,) that the ranks that hold them have."""
+    """(N,): for own bodies, the least of the values (N + G,) on the ranks that hold them."""
     own, of_ghosts = by.split([held.own_count, held.ghost_count])
     if held.route.neighbours.comm.size == 1:
         return own

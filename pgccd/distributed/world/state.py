@@ -74,7 +74,8 @@ class WorldState:
         return replace(self, columns=self.columns | {"id": id}, next_id=next_id)
 
     def with_excluded(self, comm: Comm, bodies: NewBodies, id: Tensor) -> WorldState:
-        """This state with more pairs that are never tested: those that any rank gives with bodies, of these ids (N,).
+        """This state with more pairs that are never tested: the pairs that any rank gives with bodies of these ids
+        (N,).
 
         Raises:
             TypeError, ValueError: naming the argument `exclude`; on all ranks.

@@ -75,14 +75,14 @@ class World(OwnBodies):
     Attributes:
         comm: between the ranks.
         options: as given.
-        meshes: a `pgccd.MeshSet`, for the scenes of further bodies.
+        meshes: a `pgccd.MeshSet`, for the scenes of bodies to be added.
         id_checksum: number of all bodies, and a hash of their ids, which migration preserves.
         columns: of this rank's own bodies, by name; names of the payload begin with ".".
-        steps_made: number of calls of `step` and `collide`. A loop that searches a step several times has to count its
-            own steps.
-        next_id: larger than all ids that bodies of this world have had; new bodies may have this one or larger ones.
+        steps_made: number of calls of `step` and `collide`. A loop that searches a step several times must count its
+            steps itself.
+        next_id: larger than all ids that bodies of this world have had. New bodies may have this id or larger ones.
         found: pairs and contacts of the last step; None before the first.
-        header: as passed to `save` for the checkpoint that the world was loaded from; None without one.
+        header: as passed to `save` for the checkpoint that the world was loaded from; None without a checkpoint.
 
     Example:
         >>> world = pgccd.distributed.World.create(scene, x, (0, 0, 0), (9, 9, 9), payload={"velocity": v}, comm=comm)
@@ -90,9 +90,7 @@ class World(OwnBodies):
     """
 
     def __init__(self, *given: Never, **named: Never) -> None:
-        raise TypeError(
-            "World: it is made by World.create(scene, position, lower, upper, ...) or World.load(folder, ...)"
-        )
+        raise TypeError("World: make it by World.create(scene, position, lower, upper, ...) or World.load(folder, ...)")
 
     def _set(self, comm: Comm, options: WorldOptions, state: WorldState, checksum: IdChecksum) -> None:
         self.comm, self.options, self._search_options = comm, options, options._search(state.exclude)
@@ -120,22 +118,23 @@ class World(OwnBodies):
         comm: Comm | None = None,
         options: WorldOptions | None = None,
     ) -> World:
-        """Makes a world of any share of the bodies from each rank.
+        """Makes a world. Each rank passes any share of the bodies.
 
         Args:
             scene: N bodies, this rank's share, on the device to use. Its meshes are equal on all ranks; optional
                 columns (`group`, `margin`, ...) are given on all ranks or on none. They are copied.
             position: (N, 3) float64 positions of their origins, length units, world frame.
             lower, upper: corners of the world's box, length units. Bodies may leave it.
-            id: (N,) int64 global ids >= 0, unique over all ranks. Default: consecutive, rank by rank; an error if two
-                ranks pass the same bodies, as if each were to pass all.
-            exclude: (E, 2) integers: global ids of further pairs of bodies that are never tested, of any ranks, in any
-                order. The pairs of all ranks count, with those of their scenes; each rank keeps them all.
+            id: (N,) int64 global ids >= 0, unique over all ranks. Default: consecutive, rank by rank. Without ids, it
+                is an error if two ranks pass the same bodies, as when each rank passes all of them.
+            exclude: (E, 2) integers: global ids of more pairs of bodies that are never tested, of any ranks, in any
+                order. They are added to those of the scenes. The pairs of all ranks count, and each rank keeps all of
+                them.
             payload: named tensors (N, ...) that migrate with the bodies: orientations, velocities, and so on.
             vertex_payload: named tensors (X, ...) with one row per vertex (of the first body, in the order of its mesh,
                 then of the second, ...) that migrate with the bodies: the vertices of deforming bodies.
             comm: between the ranks. Default: one rank.
-            options: of detection and distribution, equal on all ranks. Default: those of `WorldOptions()`.
+            options: of detection and distribution, equal on all ranks. Default: `WorldOptions()`.
 
         Raises:
             TypeError, ValueError: naming the argument; on all ranks.
@@ -170,19 +169,19 @@ class World(OwnBodies):
         device: torch.device | str = "cpu",
         options: WorldOptions | None = None,
     ) -> World:
-        """Restores the newest checkpoint in a folder, see `save`. The steps that follow are bitwise identical to those
-        of the saved world.
+        """Restores the newest checkpoint in a folder, see `save`. The steps that follow equal those of the saved world,
+        bit by bit.
 
-        The checkpoint holds the bodies with all columns, the number of steps made, the next id, and the partition. The
-        owners of all parts of space are restored on the same number of ranks; another number starts with a uniform
-        partition.
+        The checkpoint holds the bodies with all columns, the number of steps made, the next id, and the partition. On
+        the same number of ranks the owners of all parts of space are restored; another number of ranks starts with a
+        uniform partition.
 
         Args:
             folder: as for `save`.
             meshes: equal to those of the saved world.
             comm: between the ranks. Default: one rank.
             device: of the bodies.
-            options: as for `create`; but `partition`, `axes` and `cells` are those of the checkpoint.
+            options: as for `create`, but `partition`, `axes` and `cells` come from the checkpoint.
 
         Raises:
             FileNotFoundError: there is no checkpoint; on all ranks.
@@ -208,25 +207,24 @@ class World(OwnBodies):
         header: Mapping[str, Any] | None = None,
         wait: bool = True,
     ) -> Path:
-        """Writes a checkpoint between two steps, which `load` reads on any number of ranks. All but the newest
-        checkpoints are removed once this one is complete.
+        """Writes a checkpoint between two steps, which `load` reads on any number of ranks. When it is complete, all
+        but the newest checkpoints are removed.
 
         Args:
             folder: shared by all ranks, for checkpoints of one world. It is created if needed, and locked against other
                 jobs while this method runs.
             keep: number of checkpoints to keep, this one included: the newest ones.
-            header: values of the caller, plain (as JSON has them) and equal on all ranks: `load` makes them the
+            header: values of the caller, plain (as JSON has them) and equal on all ranks. `load` restores them as the
                 attribute `header`.
-            wait: False: returns once the bodies have been copied to host memory, and writes during the following steps.
-                `finish_saving` waits until the checkpoint is complete; the next call of `save` does so first. Until
-                then the previous checkpoint is the newest one, also if this process ends.
+            wait: False: returns when the bodies have been copied to host memory, and writes during the following steps.
+                `finish_saving` waits until the checkpoint is complete, and so does the next call of `save`. Until then
+                the previous checkpoint is the newest one, also if this process ends.
 
         Returns:
             The folder of the checkpoint, inside `folder`.
 
         Raises:
-            CheckpointError: it cannot be written, or the one before could not be; the previous one is kept; on all
-                ranks.
+            CheckpointError: it, or the checkpoint before, could not be written; the previous one is kept; on all ranks.
             ValueError, TypeError: naming the argument; the folder is locked by another job, or is not visible to a
                 rank; on all ranks.
 
@@ -241,7 +239,7 @@ class World(OwnBodies):
 
     @collective
     def finish_saving(self) -> None:
-        """Waits until the checkpoint that `save(wait=False)` began is complete. Without one it does nothing.
+        """Waits until the checkpoint that `save(wait=False)` began is complete. Does nothing if there is none.
 
         Raises:
             CheckpointError: it cannot be written; the previous one is kept; on all ranks.
@@ -258,7 +256,7 @@ class World(OwnBodies):
 
     @property
     def exclude(self) -> Tensor | None:
-        """(E, 2) int64 global ids i < j, sorted: pairs that are never tested, equal on all ranks; None without any."""
+        """(E, 2) int64 global ids i < j, sorted: pairs never tested, equal on all ranks; None without pairs."""
         excluded = self._search_options.excluded
         return None if excluded is None else excluded.pairs
 
@@ -295,35 +293,35 @@ class World(OwnBodies):
         resolve: bool = False,
         movable: Movable = None,
     ) -> Contacts | WorldResolution[Any] | TrajectoryResolution:
-        """Finds the collisions of one step, or of all steps of a trajectory; or how far the bodies can move without
-        any.
+        """Finds the collisions of one step, or of all steps of a trajectory; with `resolve`, how far the bodies can
+        move without collisions.
 
         A contact between bodies of two ranks is returned on both ranks, with the same bits in every column, `payload`
-        included; a contact between two own bodies once. So both ranks compute the same impulse from it, if elementwise
-        from a row; `sum_per_body` adds impulses to bodies. With report="earliest" the first contact of the scene is
-        returned, on every rank.
+        included. A contact between two own bodies is returned once. Both ranks therefore compute the same impulse, if
+        elementwise from a row; `sum_per_body` adds impulses to bodies. With report="earliest", every rank gets the
+        first contact of the scene.
 
         Args:
             motion: of this rank's own bodies, in the order of `id`; of the same kind on all ranks.
             payload: names of per-body payload, or "position" (at t = 0), that contacts carry; the same on all ranks.
-                They are sent with the ghosts. Not for a trajectory that is resolved, which has no contacts.
-            resolve: the same on all ranks. True: how far each body moves such that none meets another, by the rule of
-                `pgccd.resolve` and equal to its result to the bit; with the world's min_separation, tolerance and
+                They are sent with the ghosts. Not with a trajectory that is resolved, which returns no contacts.
+            resolve: the same on all ranks. True: finds how far each body can move such that none meets another. The
+                result equals that of `pgccd.resolve`, bit by bit, with the world's min_separation, tolerance and
                 initial, whatever its report. A body that is stopped in a segment of a trajectory stays there.
             movable: with `resolve`, (N,) bool: the own bodies that may be stopped. Default: all.
 
         Returns:
             All contacts of this rank's own bodies, `pairs` in global ids i < j (i, i for a body with itself), sorted.
-            `payload[name]` are (K, 2, ...): of i, then of j, whichever ranks own them. For a trajectory
-            `TrajectoryContacts`, as from `pgccd.detect`. `stats` are those of the pairs that this rank tested. With
-            `resolve`, a `WorldResolution`, whose `hits` carry the payload; of a trajectory a
+            `payload[name]` is (K, 2, ...): the values of i, then of j, whichever ranks own them. For a trajectory,
+            `TrajectoryContacts`, as from `pgccd.detect`. `stats` counts the pairs that this rank tested. With
+            `resolve`, a `WorldResolution`, whose `hits` carry the payload; for a trajectory a
             `pgccd.TrajectoryResolution`, of this rank's own bodies and in global ids.
 
         Raises:
-            TypeError: the motion is of another type, or `payload` no names; on all ranks.
-            ValueError: the motion has a wrong number of bodies, vertices or segments, or another path; or bodies have
-                no such payload; ranks ask for different ones; on all ranks. A pose is invalid: on this rank. With
-                `resolve`, a UserWarning names a body of this rank that deforms, moves and gets fraction 0.
+            TypeError: the motion is of another type, or `payload` holds no names; on all ranks.
+            ValueError: the motion has a wrong number of bodies, vertices or segments, or another path; bodies have no
+                such payload; or ranks ask for different payload; on all ranks. Or a pose is invalid; on this rank.
+                With `resolve`, a UserWarning names a body of this rank that deforms, moves and gets fraction 0.
 
         Example:
             >>> hits = world.step(motion, payload=("velocity",))
@@ -344,7 +342,7 @@ class World(OwnBodies):
                 fixed = bool_column(movable, "movable", scene.body_count, scene.device) == 0
             asked = payload_asked(payload, self.columns)
             if asked and resolve and isinstance(motion, Trajectory):
-                raise ValueError("payload: a trajectory that is resolved has no contacts to carry it")
+                raise ValueError("payload: a resolved trajectory returns no contacts to carry it")
             return facts | {"resolve": resolve, "payload": asked}
 
         carried = {name: self.columns[name] for name in agree_on_step(self.comm, settings)["payload"]}
@@ -352,7 +350,7 @@ class World(OwnBodies):
             return self._resolve(motion, fixed, carried)
         report: Any = self.options.report
         if isinstance(motion, Trajectory):
-            # The earliest is selected from the first contacts of all segments.
+            # The earliest contact is selected from the first contacts of all segments.
             options = self._search_options
             of_segments = replace(options, report="first") if report == "earliest" else options
             segments, share, carried = self._search_segments(motion, of_segments, carried)
@@ -374,7 +372,7 @@ class World(OwnBodies):
 
         Returns:
             All pairs of this rank's own bodies, in global ids i < j (i, i for a body with itself), sorted; a pair of
-            bodies of two ranks on both. `payload` and `stats` as of `step`.
+            bodies of two ranks is returned on both. `payload` and `stats` as for `step`.
 
         Raises:
             TypeError, ValueError: as for `step`.
@@ -433,7 +431,7 @@ class World(OwnBodies):
     def _search_to_resolve(
         self, scene: Scene, motion: RigidMotion | VertexMotion, fixed: Tensor | None, carried: Columns
     ) -> Share:
-        """The search of the whole step, and of the pairs of rounds if these are to be listed."""
+        """The search of the whole step, and of the pairs for rounds if they are to be listed."""
         lists = self._resolution_plan.lists and is_on_arcs(motion)
         if lists:  # the same on all ranks
             bodies = MovingBodies.of(scene, motion, wait=False)
@@ -473,7 +471,7 @@ class World(OwnBodies):
 
     @collective
     def move(self, position: Tensor, **payload: Tensor) -> None:
-        """Sets the positions of the bodies; those in cells of other ranks migrate there, with their payload.
+        """Sets the positions of the bodies. Bodies in subdomains of other ranks migrate there, with their payload.
 
         Args:
             position: (N, 3) positions of the origins, length units, in the order of `id`.
@@ -505,24 +503,24 @@ class World(OwnBodies):
         payload: dict[str, Tensor] | None = None,
         vertex_payload: dict[str, Tensor] | None = None,
     ) -> Tensor:
-        """Adds bodies between two steps, which migrate to their owners. All ranks call it, each with any share of the
-        new bodies, or none (0 rows). Steps are then those of a world made with all these bodies.
+        """Adds bodies between two steps; they migrate to their owners. All ranks call it, each with any share of the
+        new bodies, or none (0 rows). Later steps equal those of a world made with all these bodies.
 
         Args:
-            scene: M bodies, with the meshes of this world. Bodies without an optional column that others have get the
-                default of `pgccd.Scene`.
+            scene: M bodies, with the meshes of this world. If some bodies have an optional column and others do not,
+                the others get the default of `pgccd.Scene`.
             position: (M, 3) positions of their origins, length units, world frame.
-            id: (M,) int64 from `next_id` on: no id is used twice, also not that of a body that was removed. Default:
+            id: (M,) int64 from `next_id` on: no id is used twice, not even the id of a removed body. Default:
                 consecutive, rank by rank.
-            exclude: (E, 2) as for `create`: more pairs, of new bodies or of those that this world has.
-            payload, vertex_payload: as for `create`, with the names, shapes and dtypes that this world has.
+            exclude: (E, 2) as for `create`: more pairs, of new bodies or of present ones.
+            payload, vertex_payload: as for `create`, with the names, shapes and dtypes of this world.
 
         Returns:
             (M,) int64: the ids of these bodies, in the order of `position`.
 
         Raises:
-            TypeError, ValueError: naming the argument, or ranks pass the same bodies without ids; on all ranks. The
-                world is unchanged.
+            TypeError, ValueError: naming the argument; also if ranks pass the same bodies without ids; on all ranks.
+                The world is unchanged.
 
         Example:
             >>> id = world.add(pgccd.Scene(world.meshes, [0, 0]), x + 5.0, payload={"velocity": v})
@@ -534,14 +532,15 @@ class World(OwnBodies):
 
     @collective
     def remove(self, ids: Tensor) -> None:
-        """Removes bodies between two steps. All ranks call it; the bodies whose ids any rank passes are removed. Their
-        ids are not used again.
+        """Removes bodies between two steps. All ranks call it, and all bodies whose ids any rank passes are removed.
+        Their ids are not used again.
 
         Args:
-            ids: (M,) int64 global ids of bodies of any rank; the same one may occur several times, on any ranks.
+            ids: (M,) int64 global ids of bodies of any rank; an id may occur several times, on any ranks.
 
         Raises:
-            TypeError, ValueError: naming the argument, or no body has an id; on all ranks. The world is unchanged.
+            TypeError, ValueError: naming the argument; also if no body has one of the ids; on all ranks. The world is
+                unchanged.
 
         Example:
             >>> world.remove(world.id[world.position[:, 2] < -10.0])

@@ -135,7 +135,7 @@ def load_state(
 
 
 def _plain(header: Mapping[str, Any] | None) -> str | None:
-    """The header as JSON, from which it is read back as it was given."""
+    """The header as JSON, which reads back as given."""
     if header is None:
         return None
     try:

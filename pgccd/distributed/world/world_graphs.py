@@ -80,7 +80,7 @@ class Committed:
 
 @dataclass(frozen=True, eq=False)
 class _Answer:
-    """What the response to a step is passed, and what its record holds, in a graph."""
+    """In a graph: what the response to a step is passed, and what the record of the step holds."""
 
     share: Share
     motion: RigidMotion
@@ -209,7 +209,7 @@ class WorldGraph(TransactionGraph[Committed]):
 
 
 class ResolvingGraph(WorldGraph):
-    """The same of a step that is resolved. It is not committed if more rounds are needed than were captured.
+    """The graph of a step that is resolved. The step is not committed if it needs more rounds than were captured.
 
     Args:
         movable: of the user.
@@ -251,7 +251,7 @@ class ResolvingGraph(WorldGraph):
 
 def _first_toi(share: Share, comm: Comm, incomplete: Tensor) -> tuple[Tensor, Tensor]:
     """The first toi of each own body, (N,) float64, over all ranks that hold it; and whether the search of any rank was
-    incomplete, (1,) int64 0 or 1. All toi are 0 then: contacts lost on one rank may be those of others' bodies.
+    incomplete, (1,) int64 0 or 1. All toi are 0 then: contacts lost on one rank may be of bodies of other ranks.
 
     Args:
         share: of this rank.

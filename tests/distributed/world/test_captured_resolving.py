@@ -298,7 +298,7 @@ def test_far_paths_run_eagerly(farthest: float) -> None:
 
 def test_linear_paths_run_eagerly() -> None:
     world = spread(Alone(), torch.device("cpu"), "report", "linear")
-    with pytest.raises(ValueError, match="^graph: steps on linear paths that are resolved cannot be replayed"):
+    with pytest.raises(ValueError, match="^graph: resolved steps on linear paths cannot be replayed"):
         CapturedWorld(world, motion, response, True, resolve=True)
 
     def straight(bodies: Bodies) -> pgccd.RigidMotion:

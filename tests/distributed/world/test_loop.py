@@ -328,7 +328,7 @@ def test_what_functions_return_is_checked() -> None:
     world = spread(Alone(), torch.device("cpu"), "none", "cells")
     where: Any
     for where, returned, problem in (
-        ("motion", None, "motion: expected a pgccd.RigidMotion, or one with new values"),
+        ("motion", None, r"motion: expected a pgccd.RigidMotion, or \(motion, new values"),
         ("response", {"q": world.payload["q"]}, '"position" among them'),
         ("response", {"position": world.position[1:]}, "position: expected"),
         ("response", {"position": world.position, "speed": world.position}, "speed: not a payload"),
