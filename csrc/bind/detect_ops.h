@@ -34,8 +34,9 @@ struct DetectOps {
     for (size_t k = 0; k < columns.size(); ++k) {
       const double* values = rows<double>(columns[k], "columns", {kAnySize, kAnySize});
       const auto width = static_cast<int32_t>(columns[k].size(1));
-      STD_TORCH_CHECK(checks[k] >= 0 && checks[k] <= 3,
-                      "checks: expected 0 (magnitude), 1 (unit length), 2 (length) or 3 (range), got ", checks[k]);
+      STD_TORCH_CHECK(checks[k] >= 0 && checks[k] <= 4,
+                      "checks: expected 0 (magnitude), 1 (unit length), 2 (length), 3 (range) or 4 (size), got ",
+                      checks[k]);
       views.push_back({values, columns[k].size(0), width, static_cast<RowCheck>(checks[k]), limits[k]});
     }
     Tensor first = new_tensor<int64_t>(columns[0], {static_cast<int64_t>(columns.size()) + 1});

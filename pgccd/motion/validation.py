@@ -23,7 +23,7 @@ LARGEST_COORDINATE = arguments.LONGEST
 LARGEST_TURN = 1e6
 _NO_VALUES = torch.empty(0)
 # The operator's numbers (enum RowCheck of csrc/kernels/bounds/validation.h).
-CHECK_NUMBERS = {"magnitude": 0, "unit_length": 1, "length": 2, "range": 3}
+CHECK_NUMBERS = {"magnitude": 0, "unit_length": 1, "length": 2, "range": 3, "size": 4}
 
 
 @dataclass
@@ -47,6 +47,8 @@ class Check:
             return not abs(length - 1.0) <= self.limit
         if self.kind == "length":
             return not length <= self.limit
+        if self.kind == "size":
+            return not all(value == 0.0 or SMALLEST_RADIUS <= value <= self.limit for value in row)
         least = 0.0 if self.kind == "range" else -self.limit
         return not all(least <= value <= self.limit for value in row)
 
@@ -65,6 +67,8 @@ _FINITE = Check("magnitude", LARGEST_COORDINATE, f"finite numbers up to {LARGEST
 _UNIT = Check("unit_length", UNIT_TOLERANCE, "a unit quaternion (w, x, y, z)")
 _TURN = Check("length", LARGEST_TURN, f"a turn of at most {LARGEST_TURN:g} radians in the step")
 MARGIN = Check("range", LARGEST_COORDINATE, arguments.LENGTH)
+# Of a body that deforms; it may shrink to a point.
+RADIUS = Check("size", LARGEST_RADIUS, f"an SBV radius of 0, or from {SMALLEST_RADIUS:g} to {LARGEST_RADIUS:g}")
 # By name of a column of a motion.
 _CHECKS = {
     "orientation": _UNIT,
@@ -188,24 +192,15 @@ def first_invalid_rows(columns: Sequence[Checked]) -> Tensor:
     return ops.first_invalid_rows(values, checks, [each.check.limit for each in columns])
 
 
-def joined(first: Tensor | None, more: Tensor) -> Tensor:
-    """The `first_invalid_rows` of two sets of columns, combined."""
-    if first is None:
-        return more
-    return torch.cat([first[:-1], more[:-1], torch.maximum(first[-1:], more[-1:])])
-
-
 @dataclass
 class Validation:
     """The meaning of the values of `first_invalid_rows`.
 
     Args:
         columns: those checked, in order.
-        radius: (N,) SBV radii of deforming bodies, which follow the columns.
     """
 
     columns: list[Checked]
-    radius: Tensor | None = None
 
     def weakly(self) -> "Validation":
         """The same, for results: it does not keep the columns alive, and states their values only while something else
@@ -223,16 +218,3 @@ class Validation:
         for column, index in zip(self.columns, first, strict=False):
             if index < len(column):
                 raise ValueError(column.problem(index, later=later))
-        if self.radius is not None and (body := first[len(self.columns)]) < len(self.radius):
-            radius = "an SBV radius" if later else f"SBV radius {float(self.radius[body]):g}"
-            limits = f"it must lie in [{SMALLEST_RADIUS:g}, {LARGEST_RADIUS:g}]"
-            raise ValueError(f"motion: body {body} has {radius} out of range; {limits}")
-
-
-def first_invalid_radius(radius: Tensor) -> Tensor:
-    """(2,) int64: the first radius (N,) that is out of range, or N; then 1 if there is one, else 0."""
-    # A body may shrink to a point.
-    sound = (radius == 0.0) | ((radius >= SMALLEST_RADIUS) & (radius <= LARGEST_RADIUS))
-    row = torch.arange(len(sound), device=sound.device)
-    body = torch.where(sound, len(sound), row).min().reshape(1) if len(sound) else row.sum().reshape(1)
-    return torch.cat([body, (body < len(sound)).long()])

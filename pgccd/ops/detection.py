@@ -23,7 +23,7 @@ def first_invalid_rows(columns: Sequence[Tensor], checks: Sequence[int], limits:
     else 0.
 
     Checks: 0, magnitude of each number <= limit; 1, |length of the row - 1| <= limit; 2, length of the row <= limit;
-    3, each number from 0 to the limit.
+    3, each number from 0 to the limit; 4, each number 0, or from 1e-30 to the limit.
     """
     return int64(columns[0], len(columns) + 1)
 

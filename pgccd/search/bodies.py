@@ -13,7 +13,7 @@ from pgccd.geometry.mesh_set import MeshSet
 from pgccd.geometry.scene import OPTIONAL_COLUMNS, Scene
 from pgccd.motion.of_scene import check_bodies, scene_columns
 from pgccd.motion.paths import RigidMotion, VertexMotion
-from pgccd.motion.validation import Validation, first_invalid_radius, first_invalid_rows, joined
+from pgccd.motion.validation import RADIUS, Checked, Validation, first_invalid_rows
 
 # The tensors of rigid bodies, and the columns of a motion among them.
 _RIGID = ("mesh_index", "position_t0", "position_t1", "radius", "orientation_t0", "rotation")
@@ -200,7 +200,7 @@ class MovingBodies:
         if not self.deforming:
             _, position_t0, position_t1, _, orientation, rotation = self.tensors[:6]
             return _sound_radii(self.scene, position_t0, position_t1, orientation, rotation)[1]
-        return joined(first_invalid_rows(self._validation.columns), first_invalid_radius(self.radius))
+        return first_invalid_rows(self._validation.columns)
 
     @property
     def _validation(self) -> Validation:
@@ -208,7 +208,9 @@ class MovingBodies:
         if self._motion is None:
             return Validation([])
         columns = [*self._motion._checked(), *scene_columns(self.scene)]
-        return Validation(columns, self.radius if self.deforming else None)
+        if self.deforming:
+            columns.append(Checked("motion", self.radius, RADIUS, "body"))
+        return Validation(columns)
 
     def _raise_invalid(self, first: Sequence[int]) -> None:
         """Raises ValueError if the values of `_first_invalid_rows` include an invalid row."""

@@ -176,9 +176,10 @@ def find_pairs_padded(
         at_any_times,
     )
     if own:
+        # In place: `counts[row] += added` would copy the sum once more.
         added = own * (invalid[0] == 0)
         for name in ("pairs", "pairs_written"):
-            counts[COUNT_ROWS[name]] += added
+            counts[COUNT_ROWS[name]].add_(added)
     if own > pair_capacity:
         counts[COUNT_ROWS["pairs_overflow"]] += 1
     pairs = with_self_pairs(bodies, pairs)

@@ -203,7 +203,7 @@ def test_deforming_bodies(device: torch.device) -> None:
     motion.x_t1.copy_(former)
     with pytest.raises(ValueError, match=r"^x_t1: vertex 2: expected .*\(in the call before the last\)$"):
         captured(motion)
-    with pytest.raises(ValueError, match=r"^motion: body 0 has an SBV radius out of range; it must lie in "):
+    with pytest.raises(ValueError, match=r"^motion: body 0: expected an SBV radius of 0, or from "):
         captured(motion)
     assert not bool(captured(motion).overflow)
 

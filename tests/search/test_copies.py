@@ -68,7 +68,7 @@ def test_what_overflowed_or_was_invalid(copied: Callable[[Any], Any], device: to
         padded.trim()
     deforming.x_t1[5, 0] = 1e40
     padded = copied(pgccd.detect(scene, deforming, capacity=pgccd.Capacity.of(9)))
-    with pytest.raises(ValueError, match="^motion: body 0 has SBV radius"):
+    with pytest.raises(ValueError, match="^motion: body 0: expected an SBV radius"):
         padded.trim()
 
 

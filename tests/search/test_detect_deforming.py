@@ -74,7 +74,7 @@ def test_scales(device: torch.device, scale: float) -> None:
 def test_extreme_scales_are_refused(device: torch.device, scale: float) -> None:
     bodies, ends = random_ends(np.random.default_rng(2), 0.1)
     ends = [[scale * x for x in e] for e in ends]
-    with pytest.raises(ValueError, match="motion: body 0 has SBV radius"):
+    with pytest.raises(ValueError, match="motion: body 0: expected an SBV radius"):
         check(bodies.meshes, ends, device, tolerance=1e-7 * scale)
 
 

@@ -246,7 +246,7 @@ def test_deforming_bodies(device: torch.device, own: bool, report: Any) -> None:
         hits = detected(scene, motion, report, capacity=capacity)
         assert_contact_at_once(hits)
         assert bool(hits.invalid)
-        with pytest.raises(ValueError, match=f"^({column}: vertex 2|motion: body 0 has SBV radius)"):
+        with pytest.raises(ValueError, match=f"^({column}: vertex 2|motion: body 0: expected an SBV radius)"):
             hits.trim()
         getattr(motion, column).copy_(former)
 

@@ -11,7 +11,7 @@ import torch
 from support.shapes import Bodies, approaching, tensors
 
 import pgccd
-from pgccd.motion.validation import CHECK_NUMBERS
+from pgccd.motion.validation import CHECK_NUMBERS, RADIUS
 from pgccd.runtime.sizes import Capacity
 
 NAN, INF = float("nan"), float("inf")
@@ -395,7 +395,17 @@ def test_radii_of_bodies_with_sound_rows(device: torch.device) -> None:
 def test_numbers_of_checks() -> None:
     """They are those of the operator, which refuses others."""
     column = torch.tensor([[0.5], [-0.5], [2.0], [NAN]], dtype=torch.float64)
-    first = pgccd.ops.first_invalid_rows([column] * 4, list(CHECK_NUMBERS.values()), [1.0, 0.6, 1.0, 1.0])
-    assert first.tolist() == [2, 2, 2, 1, 1]
+    first = pgccd.ops.first_invalid_rows([column] * 5, list(CHECK_NUMBERS.values()), [1.0, 0.6, 1.0, 1.0, 1.0])
+    assert first.tolist() == [2, 2, 2, 1, 1, 1]
     with pytest.raises(RuntimeError, match="checks: expected"):
-        pgccd.ops.first_invalid_rows([column], [4], [1.0])
+        pgccd.ops.first_invalid_rows([column], [5], [1.0])
+
+
+@pytest.mark.parametrize("radius", [0.0, 1e-30, 1.0, 1e30, -1.0, 0.999e-30, 1.001e30, NAN, INF, -0.0])
+def test_radii_are_zero_or_of_a_size(radius: float) -> None:
+    """By the operator as by the words of the error."""
+    found = pgccd.ops.first_invalid_rows(
+        [torch.tensor([[radius]], dtype=torch.float64)], [CHECK_NUMBERS["size"]], [1e30]
+    )
+    is_invalid = not (radius == 0.0 or 1e-30 <= radius <= 1e30)
+    assert found.tolist() == [1 - is_invalid, is_invalid] and RADIUS.is_invalid([radius]) == is_invalid

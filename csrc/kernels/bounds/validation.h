@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "core/bodies.h"
 #include "core/paths.h"
 #include "core/platform.h"
 #include "kernels/device_context.h"
@@ -17,6 +18,7 @@ enum class RowCheck : int32_t {
   kUnitLength = 1,  // differs from 1 by at most the limit
   kLength = 2,      // at most the limit
   kRange = 3,       // of each number: from 0 to the limit
+  kSize = 4,        // of each number: 0, or from kRadiusOfPoint to the limit
 };
 
 // Limits of the columns of motions and scenes.
@@ -37,14 +39,16 @@ PGCCD_HD bool is_invalid(const RowColumn& column, int64_t row) {
   if (column.integers != nullptr) return !(column.integers[row] >= 0 && column.integers[row] <= column.limit);
   const double* values = column.values + row * column.width;
   double squared = 0.0;
-  bool small = true, positive = true;
+  bool small = true, positive = true, has_size = true;
   for (int k = 0; k < column.width; ++k) {
     small &= std::fabs(values[k]) <= column.limit;
     positive &= values[k] >= 0.0;
+    has_size &= values[k] == 0.0 || values[k] >= kRadiusOfPoint;
     squared += values[k] * values[k];
   }
   if (column.check == RowCheck::kMagnitude) return !small;
   if (column.check == RowCheck::kRange) return !(small && positive);
+  if (column.check == RowCheck::kSize) return !(small && has_size);
   const double length = std::sqrt(squared);
   return !((column.check == RowCheck::kUnitLength ? std::fabs(length - 1.0) : length) <= column.limit);
 }
