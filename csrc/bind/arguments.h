@@ -164,7 +164,7 @@ inline RigidBodies rigid_view(const std::vector<Tensor>& mesh_set, const std::ve
 }
 
 inline DeformingBodies deforming_view(const std::vector<Tensor>& mesh_set, const std::vector<Tensor>& t) {
-  DeformingBodies view = bodies_view<DeformingBodies>(mesh_set, t, 10);
+  DeformingBodies view = bodies_view<DeformingBodies>(mesh_set, t, 11);
   const int64_t count = view.centres.count;
   view.vertex_count = t[4].size(0);
   view.vertices_t0 = rows<double>(t[4], "bodies.vertices_t0", {kAnySize, 3});
@@ -174,6 +174,7 @@ inline DeformingBodies deforming_view(const std::vector<Tensor>& mesh_set, const
   view.vertex_begin = rows<int64_t>(t[8], "bodies.vertex_begin", {count});
   view.block_begin = rows<int64_t>(t[9], "bodies.block_begin", {count});
   view.block_count = t[6].size(0);
+  view.local_vertices = rows<float, LocalVertex>(t[10], "bodies.local_vertices", {t[4].size(0), 2, 4});
   return view;
 }
 

@@ -129,10 +129,9 @@ struct DetectOps {
     return moving_boxes(deforming_view(mesh_set, bodies), bodies[1]);
   }
 
-  static std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor> refit(const TensorList& mesh_set, const Tensor& mesh_index,
-                                                                  const Tensor& vertices_t0, const Tensor& vertices_t1,
-                                                                  const Tensor& vertex_begin, const Tensor& block_begin,
-                                                                  int64_t block_count) {
+  static std::tuple<Tensor, Tensor, Tensor, Tensor, Tensor, Tensor> refit(
+      const TensorList& mesh_set, const Tensor& mesh_index, const Tensor& vertices_t0, const Tensor& vertices_t1,
+      const Tensor& vertex_begin, const Tensor& block_begin, int64_t block_count) {
     DeformingInput input;
     input.meshes = mesh_set_view(mesh_set);
     input.mesh_index = rows<int32_t>(mesh_index, "mesh_index", {kAnySize});
@@ -150,10 +149,11 @@ struct DetectOps {
     Tensor radius = new_tensor<double>(vertices_t0, {input.body_count});
     Tensor blocks_t0 = new_tensor<float>(vertices_t0, {block_count, kBlockColumns, kBlockWidth});
     Tensor blocks_t1 = new_tensor<float>(vertices_t0, {block_count, kBlockColumns, kBlockWidth});
+    Tensor local_vertices = new_tensor<float>(vertices_t0, {input.vertex_count, 2, 4});
     pgccd::refit(Session(vertices_t0).context(), input,
                  {data<double>(position_t0), data<double>(position_t1), data<double>(radius),
-                  data<NodeBlock>(blocks_t0), data<NodeBlock>(blocks_t1)});
-    return {position_t0, position_t1, radius, blocks_t0, blocks_t1};
+                  data<NodeBlock>(blocks_t0), data<NodeBlock>(blocks_t1), data<LocalVertex>(local_vertices)});
+    return {position_t0, position_t1, radius, blocks_t0, blocks_t1, local_vertices};
   }
 
   static Tensor broad_pairs(const OptionalTensorList& swept, double min_separation, double tolerance,

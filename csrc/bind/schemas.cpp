@@ -7,8 +7,8 @@
 // rigid bodies = [mesh_index (N,) i32, position_t0 (N, 3), position_t1 (N, 3), radius (N,), orientation (N, 4),
 //                 rotation (N, 3)]
 // deforming bodies = [mesh_index (N,) i32, position_t0, position_t1, radius, vertices_t0 (X, 3), vertices_t1 (X, 3),
-//                     blocks_t0 (Y, 9, 8) f32, blocks_t1 (Y, 9, 8) f32, vertex_begin (N,) i64, block_begin (N,) i64]
-//                     see core/bodies.h; either list may be followed by margin (N,)
+//                     blocks_t0 (Y, 9, 8) f32, blocks_t1 (Y, 9, 8) f32, vertex_begin (N,) i64, block_begin (N,) i64,
+//                     local_vertices (X, 2, 4) f32] see core/bodies.h; either list may be followed by margin (N,)
 // swept = [position_t0 (N, 3), position_t1 (N, 3), radius (N,), group (N,) i64, mask (N,) i64, world (N,) i32,
 //          is_static (N,) u8, in_other_search (N,) u8, boxes (N, 28) f32 of moving_boxes] see
 //          kernels/broad/body_volumes.h; those after the radius may be None, or left out at the end
@@ -24,7 +24,7 @@
 
 STABLE_TORCH_LIBRARY(pgccd, library) {
   // Checks of columns (., width): 0 magnitude of each number, 1 |length - 1| within the limit, 2 length, 3 each number
-  // from 0 to the limit.
+  // from 0 to the limit, 4 each number 0 or from 1e-30 to the limit.
   library.def("first_invalid_rows(Tensor[] columns, int[] checks, float[] limits) -> Tensor");
   // radius (N,) of rigid bodies: `given`, or of_meshes (M,) by mesh_index (N,) i32; -inf where a row is invalid.
   // invalid_rows as of first_invalid_rows: position_t0, position_t1, orientation, rotation, mesh_index unless radii are
@@ -53,7 +53,7 @@ STABLE_TORCH_LIBRARY(pgccd, library) {
   library.def(
       "refit(Tensor[] mesh_set, Tensor mesh_index, Tensor vertices_t0, Tensor vertices_t1, Tensor vertex_begin, "
       "Tensor block_begin, int block_count) -> (Tensor position_t0, Tensor position_t1, Tensor radius, "
-      "Tensor blocks_t0, Tensor blocks_t1)");
+      "Tensor blocks_t0, Tensor blocks_t1, Tensor local_vertices)");
   library.def(
       "poses_at(Tensor position_t0, Tensor position_t1, Tensor orientation, Tensor rotation, Tensor time) -> "
       "(Tensor position, Tensor orientation_at)");

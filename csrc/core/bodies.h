@@ -28,19 +28,37 @@ struct RigidBodies {
   bool linear_path;           // vertices move on straight lines instead of arcs
 };
 
+// A vertex relative to its body's centre, at both ends of the step; rounded, for culling.
+struct alignas(16) LocalVertex {
+  float at_t0[4];  // x, y, z and 0
+  float at_t1[4];
+};
+
+// At the start (0) or the end (1) of the step.
+PGCCD_HD Vec3<float> local_vertex(const LocalVertex& vertex, int end) {
+  const float (&x)[4] = end == 0 ? vertex.at_t0 : vertex.at_t1;
+#if defined(__CUDA_ARCH__)
+  const float4 all = *reinterpret_cast<const float4*>(x);  // in one load
+  return {all.x, all.y, all.z};
+#else
+  return {x[0], x[1], x[2]};
+#endif
+}
+
 // Every body has its own vertices and node volumes: rows of body b start at vertex_begin[b] and block_begin[b].
 struct DeformingBodies {
   MeshSetView meshes;  // topology; `vertices` and `node_blocks` are not read
   const int32_t* mesh_index;
   BodyCentres centres;
-  int64_t vertex_count;         // of all bodies
-  const double* vertices_t0;    // (all vertices, 3), world
-  const double* vertices_t1;    // (all vertices, 3), world
-  const NodeBlock* blocks_t0;   // (all blocks) relative to the body's centre at t0
-  const NodeBlock* blocks_t1;   // (all blocks) relative to the body's centre at t1, same radii
-  const int64_t* vertex_begin;  // (bodies,)
-  const int64_t* block_begin;   // (bodies,)
-  int64_t block_count;          // of all bodies
+  int64_t vertex_count;               // of all bodies
+  const double* vertices_t0;          // (all vertices, 3), world
+  const double* vertices_t1;          // (all vertices, 3), world
+  const NodeBlock* blocks_t0;         // (all blocks) relative to the body's centre at t0
+  const NodeBlock* blocks_t1;         // (all blocks) relative to the body's centre at t1, same radii
+  const int64_t* vertex_begin;        // (bodies,)
+  const int64_t* block_begin;         // (bodies,)
+  int64_t block_count;                // of all bodies
+  const LocalVertex* local_vertices;  // (all vertices)
 };
 
 // True if the body exists and its mesh and rows are in range. The mesh set itself is not checked.

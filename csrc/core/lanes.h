@@ -39,6 +39,24 @@ inline Float8 load<Float8>(const float* first) {
   return out;
 }
 
+// The first three columns of eight rows of four numbers.
+inline Vec3<Float8> three_columns(const float* const (&rows)[kLanes]) {
+  typedef float Float4 __attribute__((vector_size(16)));
+  Float8 both[4];  // rows k and k + 4
+  for (int k = 0; k < 4; ++k) {
+    Float4 low, high;
+    __builtin_memcpy(&low, rows[k], sizeof(low));
+    __builtin_memcpy(&high, rows[k + 4], sizeof(high));
+    both[k] = __builtin_shufflevector(low, high, 0, 1, 2, 3, 4, 5, 6, 7);
+  }
+  const auto pairs_xy = [](Float8 a, Float8 b) { return __builtin_shufflevector(a, b, 0, 8, 1, 9, 4, 12, 5, 13); };
+  const auto pairs_z = [](Float8 a, Float8 b) { return __builtin_shufflevector(a, b, 2, 10, 3, 11, 6, 14, 7, 15); };
+  const auto first = [](Float8 a, Float8 b) { return __builtin_shufflevector(a, b, 0, 1, 8, 9, 4, 5, 12, 13); };
+  const auto second = [](Float8 a, Float8 b) { return __builtin_shufflevector(a, b, 2, 3, 10, 11, 6, 7, 14, 15); };
+  const Float8 xy01 = pairs_xy(both[0], both[1]), xy23 = pairs_xy(both[2], both[3]);
+  return {first(xy01, xy23), second(xy01, xy23), first(pairs_z(both[0], both[1]), pairs_z(both[2], both[3]))};
+}
+
 inline Vec3<Float8> broadcast(Vec3<float> v) { return {v.x - Float8{}, v.y - Float8{}, v.z - Float8{}}; }
 
 inline Vec3<Float8> in_all_lanes(Vec3<float> v, Float8) { return broadcast(v); }

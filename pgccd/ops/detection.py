@@ -97,8 +97,10 @@ def refit(
     vertex_begin: Tensor,
     block_begin: Tensor,
     block_count: int,
-) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """Centres at t0 and t1 (N, 3), radius (N,), and node blocks (Y, 9, 8) at t0 and t1 of deforming bodies."""
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """Of deforming bodies: centres at t0 and t1 (N, 3), radius (N,), node blocks (Y, 9, 8) at t0 and t1, and vertices
+    (X, 2, 4) relative to the centres at t0 and t1 (x, y, z, 0).
+    """
     count = mesh_index.shape[0]
     blocks_t0, blocks_t1 = (vertices_t0.new_empty((block_count, 9, 8), dtype=torch.float32) for _ in range(2))
     return (
@@ -107,6 +109,7 @@ def refit(
         float64(vertices_t0, count),
         blocks_t0,
         blocks_t1,
+        vertices_t0.new_empty((vertices_t0.shape[0], 2, 4), dtype=torch.float32),
     )
 
 

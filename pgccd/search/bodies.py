@@ -268,7 +268,7 @@ def _sum_of_three(v: Tensor) -> Tensor:
 
 def _deforming(scene: Scene, x_t0: Tensor, x_t1: Tensor) -> list[Tensor]:
     layout = scene.layout
-    position_t0, position_t1, radius, blocks_t0, blocks_t1 = ops.refit(
+    position_t0, position_t1, radius, blocks_t0, blocks_t1, local_vertices = ops.refit(
         scene.meshes.tensors,
         scene._sound_index,
         x_t0,
@@ -277,5 +277,5 @@ def _deforming(scene: Scene, x_t0: Tensor, x_t1: Tensor) -> list[Tensor]:
         layout.block_begin,
         layout.block_count,
     )
-    moving = [radius, x_t0, x_t1, blocks_t0, blocks_t1, layout.vertex_begin, layout.block_begin]
+    moving = [radius, x_t0, x_t1, blocks_t0, blocks_t1, layout.vertex_begin, layout.block_begin, local_vertices]
     return [scene.mesh_index, position_t0, position_t1, *moving]

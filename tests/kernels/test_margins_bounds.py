@@ -35,6 +35,22 @@ def assert_refit_encloses(mesh: pgccd.Mesh, ends: list[np.ndarray]) -> None:
         assert_encloses(block, links, triangles, x)
 
 
+def test_vertices_are_rounded_once(device: torch.device) -> None:
+    """Of deforming bodies, culling reads differences from their centres, in float32; of unused vertices too."""
+    rng = np.random.default_rng(4)
+    meshes = [bumpy(rng, level) for level in (0, 2, 1)]
+    meshes.append(pgccd.Mesh(np.vstack([meshes[0].vertices, [[9.0, 9.0, 9.0]]]), meshes[0].faces))
+    scene = pgccd.Scene(meshes, [3, 1, 0, 1, 2], device=device)
+    counts = [len(meshes[k].vertices) for k in scene.mesh_index.tolist()]
+    ends = [1e3 * rng.normal(size=(5, 3)).repeat(counts, axis=0) + rng.normal(size=(sum(counts), 3)) for _ in range(2)]
+    bodies = pgccd.MovingBodies.of(scene, pgccd.VertexMotion(*tensors(*ends, device=device)))
+    body = np.repeat(np.arange(5), counts)
+    for end, (x, centre) in enumerate(zip(ends, (bodies.position_t0, bodies.position_t1), strict=True)):
+        expected = (x - centre.cpu().numpy()[body]).astype(np.float32)
+        local = bodies.tensors[-1][:, end].cpu().numpy()
+        assert np.array_equal(local[:, :3], expected) and not local[:, 3].any()
+
+
 def pointing(rng: np.random.Generator, mesh: pgccd.Mesh, along: np.ndarray) -> np.ndarray:
     """Vertices with the x axis turned to a direction, and rolled about it."""
     q = contacts.leading(along / np.linalg.norm(along), rng.uniform(0, 6))

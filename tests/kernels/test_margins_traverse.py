@@ -213,6 +213,23 @@ def test_travelling_bodies_touch_at_the_horizon(device: torch.device, horizon: f
         assert missed_among(meetings, moved, 0.0, horizon=np.array([horizon])) == []
 
 
+@pytest.mark.parametrize("horizon", [0.25, 0.5, 0.75])
+def test_bodies_that_shrink_as_they_travel_touch_at_the_horizon(device: torch.device, horizon: float) -> None:
+    """At the end of the step the travelling body would be too short, were it where it is at the horizon."""
+    rng = np.random.default_rng(13)
+    for _ in range(20):
+        meetings = contacts.resting(rng, "tips", 4.0 * horizon)
+        place = meetings.bodies.position_t0
+        way = place[1] / np.linalg.norm(place[1])
+        start = [m.vertices.numpy() + x for m, x in zip(meetings.bodies.meshes, place, strict=True)]
+        ahead = (start[0] - start[0].mean(axis=0)) @ way
+        travel = 4.0 + 2.0**-30 + 0.5 * ahead.max()
+        end = [start[0] + (travel - 0.5 * ahead)[:, None] * way, start[1]]
+        motion = pgccd.VertexMotion(*tensors(np.concatenate(start), np.concatenate(end), device=device))
+        moved = pgccd.MovingBodies.of(meetings.bodies.scene(device), motion)
+        assert missed_among(meetings, moved, 0.0, horizon=np.array([horizon])) == []
+
+
 def test_triangles_without_a_direction(device: torch.device) -> None:
     """A triangle whose squared normal underflows to zero still has a normal, which certifies nothing."""
     size = 2.0**-44

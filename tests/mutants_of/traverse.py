@@ -154,8 +154,15 @@ MUTANTS = [
     Mutant(
         "vertex-horizon-squared",
         TRAVERSE + "deforming_sweep.h",
-        "(1.0 - horizon) * local_t0 + horizon * local_t1",
-        "(1.0 - horizon * horizon) * local_t0 + (horizon * horizon) * local_t1",
+        "(1.0 - horizon) * at_t0 + horizon * at_t1",
+        "(1.0 - horizon * horizon) * at_t0 + (horizon * horizon) * at_t1",
+        ON_TRAVERSE,
+    ),
+    Mutant(
+        "vertex-of-end-at-horizon",
+        TRAVERSE + "deforming_sweep.h",
+        "end == 0 || horizon == 1.0",
+        "end == 0 || horizon > 0.0",
         ON_TRAVERSE,
     ),
     Mutant(

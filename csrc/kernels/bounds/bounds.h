@@ -71,6 +71,7 @@ struct DeformingBounds {
   double* radius;       // (bodies,)
   NodeBlock* blocks_t0;
   NodeBlock* blocks_t1;
+  LocalVertex* local_vertices;
 };
 
 void refit(const Executor& executor, const DeformingInput& input, const DeformingBounds& bounds);

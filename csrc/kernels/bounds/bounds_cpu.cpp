@@ -35,6 +35,11 @@ void refit_body(const DeformingInput& input, const DeformingBounds& bounds, int6
   }
   bounds.radius[body] = std::sqrt(squared) * (1.0 + 0x1p-40);
 
+  LocalVertex* vertices = bounds.local_vertices + input.vertex_begin[body];
+  for (int32_t vertex = 0; vertex < next.vertex - offsets.vertex; ++vertex) {
+    vertices[vertex] = local_vertex(shape, vertex);
+  }
+
   const Triangle* triangles = input.meshes.triangles + offsets.face;
   const NodeLink* links = input.meshes.node_links + offsets.block * kBlockWidth;
   std::vector<NodeBounds> nodes(block_count * kBlockWidth);

@@ -24,7 +24,7 @@ constexpr int32_t kNoBody = -1;
 // A body's mesh and rows.
 struct RefitBody {
   int64_t index;
-  int64_t first_block, block_count, face_count;
+  int64_t first_block, block_count, face_count, vertex_count;
   const int32_t* faces;
   const Triangle* triangles;
   const NodeLink* links;
@@ -37,6 +37,7 @@ __device__ RefitBody refit_body(const DeformingInput& input, int64_t body) {
           input.block_begin[body],
           next.block - offsets.block,
           next.face - offsets.face,
+          next.vertex - offsets.vertex,
           input.meshes.faces + 3 * offsets.face,
           input.meshes.triangles + offsets.face,
           input.meshes.node_links + offsets.block * kBlockWidth};
@@ -132,7 +133,8 @@ __global__ void __launch_bounds__(kBlockThreads) place_centres(Refit refit) {
   }
 }
 
-// One warp per node block: measures an equal share of its body's corners, and records the blocks below this one.
+// One warp per node block: measures an equal share of its body's corners, places one of its vertices, and records the
+// blocks below this one.
 __global__ void __launch_bounds__(kBlockThreads) measure_bodies(Refit refit) {
   wait_for_previous_kernels();
   const int lane = threadIdx.x % kWarp;
@@ -146,6 +148,11 @@ __global__ void __launch_bounds__(kBlockThreads) measure_bodies(Refit refit) {
   double squared = 0.0;
   for (int64_t corner = block * corner_count / body.block_count + lane; corner < corners_end; corner += kWarp) {
     for (int end = 0; end < 2; ++end) squared = larger(squared, norm_squared(shape.local(end, body.faces[corner])));
+  }
+  LocalVertex* vertices = refit.bounds.local_vertices + refit.input.vertex_begin[body.index];
+  const int64_t vertices_end = (block + 1) * body.vertex_count / body.block_count;
+  for (int64_t vertex = block * body.vertex_count / body.block_count + lane; vertex < vertices_end; vertex += kWarp) {
+    vertices[vertex] = local_vertex(shape, static_cast<int32_t>(vertex));
   }
   for (int step = kWarp / 2; step > 0; step /= 2) {
     squared = larger(squared, __shfl_xor_sync(kAllLanes, squared, step));

@@ -60,41 +60,20 @@ struct alignas(16) DeformingSweep : PairFrame {
   template <class T>
   PGCCD_HD Vec3<T> leaf_points(const DeformingBodies& bodies, const LeafPoints& points, int side, int slot,
                                int end) const {
-    if constexpr (sizeof(T) == sizeof(float)) {
-      return vertex(bodies, side, points.vertex[slot], end);
-    } else {
-      Vec3<T> out;
-      for (int lane = 0; lane < kLanes; ++lane) {
-        const Vec3<float> x = vertex(bodies, side, points.vertex[lane], end);
-        out.x[lane] = x.x;
-        out.y[lane] = x.y;
-        out.z[lane] = x.z;
-      }
-      return out;
-    }
+    return vertices<T>(bodies, side, end, [&](int lane) { return points.vertex[slot + lane]; });
   }
 
   PGCCD_HD static Vec3<float> pulled_back(const Placement& p, Vec3<float> direction) { return scale_of(p) * direction; }
 
   template <class T>
   PGCCD_HD Corners<T> corners(const DeformingBodies& bodies, int side, int32_t triangle, int end) const {
+    const int64_t first = first_face[side] + triangle;
+    int64_t last = first;  // lanes beyond the last triangle repeat it
+    if constexpr (sizeof(T) != sizeof(float)) last = bodies.meshes.offsets[bodies.mesh_index[body[side]] + 1].face - 1;
     Corners<T> out;
-    if constexpr (sizeof(T) == sizeof(float)) {
-      const Triangle& t = bodies.meshes.triangles[first_face[side] + triangle];
-      for (int c = 0; c < 3; ++c) out.corner[c] = vertex(bodies, side, t.vertex[c], end);
-    } else {
-      const MeshOffsets* offsets = bodies.meshes.offsets + bodies.mesh_index[body[side]];
-      const int64_t count = offsets[1].face - offsets[0].face;
-      for (int lane = 0; lane < kLanes; ++lane) {
-        const int64_t row = triangle + lane < count ? triangle + lane : count - 1;
-        const Triangle& t = bodies.meshes.triangles[offsets[0].face + row];
-        for (int c = 0; c < 3; ++c) {
-          const Vec3<float> x = vertex(bodies, side, t.vertex[c], end);
-          out.corner[c].x[lane] = x.x;
-          out.corner[c].y[lane] = x.y;
-          out.corner[c].z[lane] = x.z;
-        }
-      }
+    for (int c = 0; c < 3; ++c) {
+      out.corner[c] = vertices<T>(
+          bodies, side, end, [&](int lane) { return bodies.meshes.triangles[smaller(first + lane, last)].vertex[c]; });
     }
     return out;
   }
@@ -104,15 +83,41 @@ struct alignas(16) DeformingSweep : PairFrame {
   PGCCD_HD Vec3<float> until_horizon(Vec3<float> at_t0, Vec3<float> at_t1) const {
     return at_t0 + static_cast<float>(horizon) * (at_t1 - at_t0);
   }
-  PGCCD_HD Vec3<float> vertex(const DeformingBodies& bodies, int side, int32_t v, int end) const {
+  // The vertices with numbers number(0), ..., one per lane.
+  template <class T, class Number>
+  PGCCD_HD Vec3<T> vertices(const DeformingBodies& bodies, int side, int end, Number&& number) const {
+    const int64_t first = bodies.vertex_begin[body[side]];
+    const bool is_stored = end == 0 || horizon == 1.0;
+    if constexpr (sizeof(T) == sizeof(float)) {
+      const int64_t row = first + number(0);
+      return is_stored ? local_vertex(bodies.local_vertices[row], end) : at_horizon(bodies, side, row);
+    } else {
+      if (is_stored) {
+        const float* rows[kLanes];
+        for (int lane = 0; lane < kLanes; ++lane) {
+          const LocalVertex& x = bodies.local_vertices[first + number(lane)];
+          rows[lane] = end == 0 ? x.at_t0 : x.at_t1;
+        }
+        return three_columns(rows);
+      }
+      Vec3<T> out;
+      for (int lane = 0; lane < kLanes; ++lane) {
+        const Vec3<float> x = at_horizon(bodies, side, first + number(lane));
+        out.x[lane] = x.x;
+        out.y[lane] = x.y;
+        out.z[lane] = x.z;
+      }
+      return out;
+    }
+  }
+  // Rounded once, as the stored ones are.
+  PGCCD_HD Vec3<float> at_horizon(const DeformingBodies& bodies, int side, int64_t row) const {
     const BodyCentres& centres = bodies.centres;
-    const int64_t row = bodies.vertex_begin[body[side]] + v;
-    const Vec3<double> local_t0 =
+    const Vec3<double> at_t0 =
         load_vec3(bodies.vertices_t0 + 3 * row) - load_vec3(centres.position_t0 + 3 * body[side]);
-    if (end == 0) return cast<float>(local_t0);
-    const Vec3<double> local_t1 =
+    const Vec3<double> at_t1 =
         load_vec3(bodies.vertices_t1 + 3 * row) - load_vec3(centres.position_t1 + 3 * body[side]);
-    return cast<float>((1.0 - horizon) * local_t0 + horizon * local_t1);
+    return cast<float>((1.0 - horizon) * at_t0 + horizon * at_t1);
   }
 };
 
