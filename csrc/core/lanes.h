@@ -30,6 +30,10 @@ PGCCD_HD T load(const float* first) {
   return *first;
 }
 
+// The first three columns of rows of four numbers, one row per lane.
+template <class T>
+Vec3<T> three_columns(const float* const (&rows)[kLanes]);
+
 #if !defined(__CUDACC__)
 
 template <>
@@ -39,8 +43,8 @@ inline Float8 load<Float8>(const float* first) {
   return out;
 }
 
-// The first three columns of eight rows of four numbers.
-inline Vec3<Float8> three_columns(const float* const (&rows)[kLanes]) {
+template <>
+inline Vec3<Float8> three_columns<Float8>(const float* const (&rows)[kLanes]) {
   typedef float Float4 __attribute__((vector_size(16)));
   Float8 both[4];  // rows k and k + 4
   for (int k = 0; k < 4; ++k) {

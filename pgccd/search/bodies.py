@@ -60,7 +60,7 @@ class MovingBodies:
         self._invalid_rows = invalid_rows
         _, self.centre_t0, self.centre_t1, self.reach, *_ = tensors
         self.boxes: Tensor | None = None
-        if thickness is not None or scene.meshes.has_boxes or not scene.meshes.is_centred:
+        if thickness is not None or scene.meshes.has_boxes or self._is_off_centre:
             self._enlarge(thickness)
 
     @classmethod
@@ -162,13 +162,18 @@ class MovingBodies:
             grown.boxes[:, 1] = ((growth + stray / unit) * (1.0 + 2.0**-22)).float()  # rounded up
         return grown
 
+    @property
+    def _is_off_centre(self) -> bool:
+        """Whether SBV centres are not the positions: some mesh of rigid bodies has its origin elsewhere."""
+        return not (self.deforming or self.scene.meshes.is_centred)
+
     def _enlarge(self, thickness: Tensor | None) -> None:
         """Finds spheres of meshes off centre and of thick bodies, and boxes."""
         scene, meshes, tensors = self.scene, self.scene.meshes, self.tensors
         is_checked = self._motion is None
-        if not is_checked and (meshes.has_boxes or not meshes.is_centred):
+        if not is_checked and (meshes.has_boxes or self._is_off_centre):
             tensors = [scene._sound_index, *tensors[1:]]
-        if not self.deforming and not meshes.is_centred:
+        if self._is_off_centre:
             spheres = ops.moving_spheres(meshes.tensors, tensors, self.linear_path)
             self.centre_t0, self.centre_t1, self.reach = spheres
         if thickness is not None:

@@ -98,7 +98,7 @@ struct alignas(16) DeformingSweep : PairFrame {
           const LocalVertex& x = bodies.local_vertices[first + number(lane)];
           rows[lane] = end == 0 ? x.at_t0 : x.at_t1;
         }
-        return three_columns(rows);
+        return three_columns<T>(rows);
       }
       Vec3<T> out;
       for (int lane = 0; lane < kLanes; ++lane) {
