@@ -70,7 +70,7 @@ def test_mistakes(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for columns, message in (
         (step, "argument --scene: expected a trajectory: position"),
         (bad, "argument --scene: trajectory: counted from frame 0: orientation: waypoint 0, body 0"),
-        (few, "argument --scene: trajectory: frame 0: position: expected shape (6, 3), got (5, 3)"),
+        (few, "scene.json: mesh_index: expected the meshes of 5 bodies, of which rollout.npz has poses, got 6 values"),
     ):
         np.savez(folder / "rollout.npz", **columns)
         assert main(["audit", "--scene", str(folder / "scene.json")]) == 2

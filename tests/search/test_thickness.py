@@ -79,7 +79,7 @@ def test_gradients_of_margins_remain(device: torch.device) -> None:
     for mesh, given in ((BOX.thickened(0.25), margin), (BOX, margin + 0.25)):
         hits = pgccd.detect(pgccd.Scene([mesh, mesh], device=device, margin=given), pgccd.RigidMotion(x, q, end, q))
         (gradient,) = torch.autograd.grad(hits.toi.sum(), margin)
-        tois.append([float(hits.toi[0]), *gradient.tolist()])
+        tois.append([float(hits.toi[0].detach()), *gradient.tolist()])
     assert tois[0] == pytest.approx(tois[1]) and tois[0][1:] == pytest.approx([-0.4, -0.4])
 
 
