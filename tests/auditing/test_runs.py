@@ -68,9 +68,9 @@ def test_mistakes(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     bad = {"position": np.zeros((3, 6, 3)), "orientation": np.zeros((3, 6, 4))}
     few = {"position": np.zeros((3, 5, 3)), "orientation": np.eye(4)[:1].repeat(15, axis=0).reshape(3, 5, 4)}
     for columns, message in (
+        (few, "scene.json: mesh_index: expected the meshes of 5 bodies, of which rollout.npz has poses, got 6 values"),
         (step, "argument --scene: expected a trajectory: position"),
         (bad, "argument --scene: trajectory: counted from frame 0: orientation: waypoint 0, body 0"),
-        (few, "scene.json: mesh_index: expected the meshes of 5 bodies, of which rollout.npz has poses, got 6 values"),
     ):
         np.savez(folder / "rollout.npz", **columns)
         assert main(["audit", "--scene", str(folder / "scene.json")]) == 2

@@ -185,6 +185,12 @@ def test_rounding_in_the_local_frame(device: torch.device, count: int) -> None:
     x = np.concatenate(world)
     moved = pgccd.MovingBodies.of(bodies.scene(device), pgccd.VertexMotion(*tensors(x, x, device=device)))
     assert missed_among(still, moved, 0.0) == []
+    # Vertices with ways of their own, on which the tips meet at the horizon.
+    way = 0.05 * rng.normal(size=x.shape)
+    moved = pgccd.MovingBodies.of(
+        bodies.scene(device), pgccd.VertexMotion(*tensors(x - 5.0 * way, x + 3.0 * way, device=device))
+    )
+    assert missed_among(still, moved, 0.0, horizon=np.full(count, 0.625)) == []
 
 
 @pytest.mark.parametrize("horizon", [0.25, 0.5, 0.75])

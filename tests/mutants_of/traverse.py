@@ -145,17 +145,10 @@ MUTANTS = [
         ON_TRAVERSE,
     ),
     Mutant(
-        "node-horizon-squared",
+        "deforming-horizon-squared",
         TRAVERSE + "deforming_sweep.h",
         "static_cast<float>(horizon) * (at_t1 - at_t0)",
         "static_cast<float>(horizon * horizon) * (at_t1 - at_t0)",
-        ON_TRAVERSE,
-    ),
-    Mutant(
-        "vertex-horizon-squared",
-        TRAVERSE + "deforming_sweep.h",
-        "(1.0 - horizon) * at_t0 + horizon * at_t1",
-        "(1.0 - horizon * horizon) * at_t0 + (horizon * horizon) * at_t1",
         ON_TRAVERSE,
     ),
     Mutant(

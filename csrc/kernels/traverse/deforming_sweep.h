@@ -80,44 +80,28 @@ struct alignas(16) DeformingSweep : PairFrame {
 
  private:
   PGCCD_HD static float scale_of(const Placement& p) { return p.x.axis.x; }
-  PGCCD_HD Vec3<float> until_horizon(Vec3<float> at_t0, Vec3<float> at_t1) const {
+  template <class T>
+  PGCCD_HD Vec3<T> until_horizon(Vec3<T> at_t0, Vec3<T> at_t1) const {
     return at_t0 + static_cast<float>(horizon) * (at_t1 - at_t0);
   }
-  // The vertices with numbers number(0), ..., one per lane.
+  // The vertices with numbers number(0), ..., one per lane; at the horizon to 4 units of rounding.
   template <class T, class Number>
   PGCCD_HD Vec3<T> vertices(const DeformingBodies& bodies, int side, int end, Number&& number) const {
     const int64_t first = bodies.vertex_begin[body[side]];
-    const bool is_stored = end == 0 || horizon == 1.0;
-    if constexpr (sizeof(T) == sizeof(float)) {
-      const int64_t row = first + number(0);
-      return is_stored ? local_vertex(bodies.local_vertices[row], end) : at_horizon(bodies, side, row);
-    } else {
-      if (is_stored) {
+    const auto at_end = [&](int its_end) -> Vec3<T> {
+      if constexpr (sizeof(T) == sizeof(float)) {
+        return local_vertex(bodies.local_vertices[first + number(0)], its_end);
+      } else {
         const float* rows[kLanes];
         for (int lane = 0; lane < kLanes; ++lane) {
           const LocalVertex& x = bodies.local_vertices[first + number(lane)];
-          rows[lane] = end == 0 ? x.at_t0 : x.at_t1;
+          rows[lane] = its_end == 0 ? x.at_t0 : x.at_t1;
         }
         return three_columns<T>(rows);
       }
-      Vec3<T> out;
-      for (int lane = 0; lane < kLanes; ++lane) {
-        const Vec3<float> x = at_horizon(bodies, side, first + number(lane));
-        out.x[lane] = x.x;
-        out.y[lane] = x.y;
-        out.z[lane] = x.z;
-      }
-      return out;
-    }
-  }
-  // Rounded once, as the stored ones are.
-  PGCCD_HD Vec3<float> at_horizon(const DeformingBodies& bodies, int side, int64_t row) const {
-    const BodyCentres& centres = bodies.centres;
-    const Vec3<double> at_t0 =
-        load_vec3(bodies.vertices_t0 + 3 * row) - load_vec3(centres.position_t0 + 3 * body[side]);
-    const Vec3<double> at_t1 =
-        load_vec3(bodies.vertices_t1 + 3 * row) - load_vec3(centres.position_t1 + 3 * body[side]);
-    return cast<float>((1.0 - horizon) * at_t0 + horizon * at_t1);
+    };
+    if (end == 0 || horizon == 1.0) return at_end(end);
+    return until_horizon(at_end(0), at_end(1));
   }
 };
 
