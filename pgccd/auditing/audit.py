@@ -58,9 +58,9 @@ def audit(
     there. Such pairs are listed separately:
 
     * `Audit.touching`: pairs that touch at frames, as runs of frames: resting contacts, and bodies that intersect where
-    a segment starts or ends. Decided by a detection of the bodies at rest, with the same tolerance. * `Audit.enclosed`:
-    pairs that touch at neither frame but in between, of which one body is wholly inside the other one at a frame. A
-    body that is not watertight has no inside. Marking bodies as solids changes nothing.
+      a segment starts or ends. Decided by a detection of the bodies at rest, with the same tolerance.
+    * `Audit.enclosed`: pairs that touch at neither frame but in between, of which one body is wholly inside the other
+      one at a frame. A body that is not watertight has no inside. Marking bodies as solids changes nothing.
 
     Margins of the trajectory, `Trajectory(margin=...)`, count only between frames. With them no passage on the true
     path is missed, but a pair that comes close without touching may be reported; with toi 0, if the pair is within
