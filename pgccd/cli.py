@@ -67,6 +67,7 @@ poses.npz holds, for N bodies, one of these:
 If the first MESH is a robot (.urdf, or .xml for MJCF), it holds q (T, J): configurations, between which joints move at
 constant rates. All other MESH files are then obstacles. Contacts may be due to the margins of links (see
 pgccd.robots.certify).
+Lengths of mesh files that state their unit (Collada, 3MF, glTF) are converted to metres.
 A pose puts a point v of a mesh file at position + R (v - origin), and the body turns about its origin: the origin of
 the file's coordinates, unless a scene file says otherwise. Orientations are unit quaternions (w, x, y, z), body to
 world.
@@ -336,7 +337,8 @@ def _progress(
 
 def _load_meshes(files: Sequence[str] | None, argument: str, origin: Origin = (0, 0, 0)) -> list[pgccd.Mesh] | None:
     try:
-        return None if files is None else [pgccd.Mesh.load(name, origin) for name in files]
+        # In metres, as robots and scene files: files may state different units.
+        return None if files is None else [pgccd.Mesh.load(name, origin, unit="m") for name in files]
     except (ValueError, OSError, ImportError) as error:
         raise ArgumentError(argument, str(error).removeprefix("path: ")) from error
 

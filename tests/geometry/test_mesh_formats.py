@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import pgccd
+from pgccd import cli
 from pgccd.geometry.file_checks import declared_triangles
 from pgccd.geometry.polygons import is_convex
 
@@ -521,7 +522,7 @@ def test_units_of_files(tmp_path: Path) -> None:
             pgccd.Mesh.load(tmp_path / "inches.dae", unit=unit)  # type: ignore[arg-type]
 
 
-def test_robots_and_scenes_are_in_metres(tmp_path: Path) -> None:
+def test_robots_scenes_and_the_command_line_are_in_metres(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("collada")
     pytest.importorskip("yourdfpy")
     box = trimesh.creation.box([200.0, 300.0, 400.0])
@@ -538,3 +539,6 @@ def test_robots_and_scenes_are_in_metres(tmp_path: Path) -> None:
     (tmp_path / "scene.json").write_text(json.dumps(scene))
     loaded = pgccd.files.load_scene(tmp_path / "scene.json")[0]
     assert float(loaded.meshes.meshes[0].vertices[:, 2].max()) == pytest.approx(0.2, rel=1e-6)
+    assert cli.main(["info", "--json", str(tmp_path / "mesh.dae")]) == 0
+    (size,) = json.loads(capsys.readouterr().out)["meshes"]
+    assert size["radius"] == pytest.approx(0.5 * np.linalg.norm([0.2, 0.3, 0.4]), rel=1e-6)

@@ -1,8 +1,8 @@
 """One rank's share of a step: pairs of own bodies, then pairs with ghosts.
 
 A pair of own bodies belongs to this rank if one of the two reaches no other rank. These pairs are searched while ghosts
-are sent. Then ghosts are paired with each other and with the own bodies near them, and own bodies that reach other ranks with each other;
-on a GPU concurrently with the first search.
+are sent. Then ghosts are paired with each other and with the own bodies near them, and own bodies that reach other
+ranks with each other; on a GPU concurrently with the first search.
 """
 
 from __future__ import annotations
