@@ -74,7 +74,7 @@ world.
 
 scene.json: {"meshes": ["robot.ply", "rock.obj"], "mesh_index": [0, 0, 1], "poses": "poses.npz"}; paths are relative to
 it; optional: "group", "mask", "world", "static", "self_collision", "margin", "names", lists with one value per body;
-"exclude", pairs of bodies that are never tested; "origin", one value per mesh: [x, y, z] in the file's coordinates,
+"exclude", pairs of bodies that are never tested; "origin", one value per mesh: [x, y, z] in the converted coordinates,
 "centroid" (the SBV centre) or "center_of_mass"; "solid", one value per mesh: true, false or "auto"; "thickness", one
 length per mesh. In Python, pgccd.files.save_scene and the simulators of pgccd.simulators write such files, with their
 meshes in an npz file."""

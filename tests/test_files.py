@@ -141,7 +141,7 @@ def test_every_entry_of_a_scene_arrives(tmp_path: Path) -> None:
     for origin in ([[0.0, 0.0, 0.0]], "centroid"):
         with pytest.raises(ValueError, match="scene.json: origin: expected a list of 2 values, one per mesh, got"):
             load(origin=origin)
-    # The list of meshes says how many bodies there are: it is at fault, whatever the motion is.
+    # The number of bodies is the length of mesh_index: the error names it, whatever the motion is.
     moved = {"position_t0": X[0], "orientation_t0": Q[0], "position_t1": X[1], "orientation_t1": Q[1]}
     for columns in ({"position": X, "orientation": Q}, moved):
         np.savez(tmp_path / "poses.npz", **columns)

@@ -30,20 +30,17 @@ struct RigidBodies {
 
 // A vertex relative to its body's centre, at both ends of the step; rounded, for culling.
 struct alignas(16) LocalVertex {
-  float at_t0[4];  // x, y, z and 0
-  float at_t1[4];
-};
+  float at[2][4];  // x, y, z and 0, at t0 and at t1
 
-// At the start (0) or the end (1) of the step.
-PGCCD_HD Vec3<float> local_vertex(const LocalVertex& vertex, int end) {
-  const float (&x)[4] = end == 0 ? vertex.at_t0 : vertex.at_t1;
+  PGCCD_HD Vec3<float> position(int end) const {
 #if defined(__CUDA_ARCH__)
-  const float4 all = *reinterpret_cast<const float4*>(x);  // in one load
-  return {all.x, all.y, all.z};
+    const float4 all = *reinterpret_cast<const float4*>(at[end]);  // in one load
+    return {all.x, all.y, all.z};
 #else
-  return {x[0], x[1], x[2]};
+    return {at[end][0], at[end][1], at[end][2]};
 #endif
-}
+  }
+};
 
 // Every body has its own vertices and node volumes: rows of body b start at vertex_begin[b] and block_begin[b].
 struct DeformingBodies {

@@ -45,7 +45,7 @@ inline Float8 load<Float8>(const float* first) {
 
 template <>
 inline Vec3<Float8> three_columns<Float8>(const float* const (&rows)[kLanes]) {
-  typedef float Float4 __attribute__((vector_size(16)));
+  using Float4 = float __attribute__((vector_size(16)));
   Float8 both[4];  // rows k and k + 4
   for (int k = 0; k < 4; ++k) {
     Float4 low, high;

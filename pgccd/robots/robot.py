@@ -545,7 +545,7 @@ class Robot:
         self, obstacles: Obstacles | None = None, *, resolution: float | None = None
     ) -> MotionValidator:
         """A function of two configurations for planners such as OMPL and MoveIt: whether the straight motion in joint
-        space between them is certainly free of contact. False has several reasons, which `certify` tells apart, also
+        space between them is certainly free of contact. False has several reasons, which `certify` distinguishes, also
         that links touch at the start or that a value is not finite.
 
         Args:

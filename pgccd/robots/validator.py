@@ -24,7 +24,7 @@ class Motion:
     """What is known of a motion between two configurations.
 
     Attributes:
-        verdict: as for `certify`, but `COLLISION` and `NEAR` are not told apart.
+        verdict: as for `certify`, but `COLLISION` and `NEAR` are not distinguished.
         free_until: the part of the motion, in [0, 1], before which it is certainly free of contact, as OMPL defines it:
             1 only if the whole motion is free, the goal included; 0 if the start is not free, or the verdict is
             `UNDECIDED`.

@@ -15,8 +15,8 @@ from pgccd.robots.shapes import ThickSurface
 from pgccd.simulators.bodies import Bodies
 from pgccd.simulators.simulator import Simulator
 
-# The margin by which PyBullet thickens hulls. PyBullet tells the margin of a placed hull only if the user has changed
-# it.
+# The margin by which PyBullet thickens hulls. PyBullet returns the margin of a placed hull only if the user has
+# changed it.
 _HULL = 1e-3
 
 
@@ -67,7 +67,7 @@ class PyBullet(Simulator):
                 name = f"body {body}, {names[1] or 'multibody'}, {names[0] or f'link {link}'}"
                 found = pybullet.getCollisionShapeData(body, link, physicsClientId=client)
                 if not found and len(set(pybullet.getAABB(body, link, physicsClientId=client))) > 1:
-                    raise ValueError(f"{name}: expected a shape that PyBullet tells, got one such as a height field")
+                    raise ValueError(f"{name}: expected a shape that PyBullet returns, got one such as a height field")
                 thickness = max(_HULL, pybullet.getDynamicsInfo(body, link, physicsClientId=client)[11])
                 for number, shape in enumerate(found):
                     # Hulls of points, as PyBullet makes of cylinders in URDF files, have no file.

@@ -10,14 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from oracle.arms import Arm, Part, origin
-from support.arms import UPRIGHT, beams, loaded, random_arm
+from oracle.arms import Arm, Part
+from support.arms import UPRIGHT, attached_like, beams, boxes, loaded, random_arm, with_object
 from support.cases import mostly_slow
 
 import pgccd
 from pgccd.robots import Certificate, Obstacles, Robot, Verdict
-from pgccd.robots.kinematics import quaternion_of
-from robots.test_path_search import boxes, same
+from robots.test_path_search import same
 
 AT_ORIGIN = ([0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0])
 CUBE = pgccd.Mesh.box([0.1, 0.1, 0.1])
@@ -41,26 +40,6 @@ def moved(robot: Robot, q: torch.Tensor | None = None) -> torch.Tensor:
 
 def is_free(robot: Robot, obstacles: Obstacles | None = None) -> bool:
     return bool(robot.certify(moved(robot), obstacles).free[0])
-
-
-def with_object(arm: Arm, rng: np.random.Generator) -> tuple[Arm, int, tuple[np.ndarray, np.ndarray]]:
-    """The arm with a box fixed to one of its parts that move, the part, and the pose of the box in it."""
-    moving: list[int] = []
-    for k, part in enumerate(arm.parts):
-        if part.kind != "fixed" or (k - 1 if part.parent is None else part.parent) in moving:
-            moving.append(k)
-    carrier = moving[int(rng.integers(len(moving)))]
-    xyz, rpy = rng.uniform(-0.3, 0.3, 3), rng.uniform(-2, 2, 3)
-    half = tuple(rng.uniform(0.03, 0.15, 3))
-    box = Part("fixed", tuple(xyz), tuple(rpy), (1.0, 0.0, 0.0), half=half, parent=carrier)
-    return Arm([*arm.parts, box]), carrier, (xyz, quaternion_of(origin(xyz, rpy)[:3, :3]))
-
-
-def attached_like(robot: Robot, whole: Arm, carrier: int, pose: Any, touching: list[str]) -> Robot:
-    part = whole.parts[-1]
-    assert part.half is not None
-    mesh = pgccd.Mesh.box(2 * np.array(part.half))
-    return robot.attach(f"link{carrier}", mesh, pose, touching, name=f"link{len(whole.parts) - 1}")
 
 
 def paths(rng: np.random.Generator, robot: Robot, count: int = 6, waypoints: int = 3) -> np.ndarray:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 from oracle.arms import Arm, Part, distances, least_gaps
-from support.arms import UPRIGHT, beams, loaded, random_arm
+from support.arms import UPRIGHT, beams, boxes, loaded, random_arm, untested
 from support.cases import mostly_slow
 
 import pgccd
@@ -17,7 +17,6 @@ from pgccd import Spline
 from pgccd.robots import Clearance, Obstacles
 from robots.test_curves import bernstein
 from robots.test_moving_obstacles import Sweep, least
-from robots.test_path_search import boxes, untested
 
 BLOCK = Part("prismatic", UPRIGHT, UPRIGHT, (1, 0, 0), half=(0.1, 0.1, 0.1))
 

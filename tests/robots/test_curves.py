@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 from oracle.arms import Arm, Part, least_gaps
-from support.arms import UPRIGHT, beams, loaded, random_arm
+from support.arms import UPRIGHT, beams, boxes, loaded, random_arm, untested
 from support.cases import mostly_slow
 
 import pgccd
@@ -18,7 +18,7 @@ from pgccd import Spline, ops
 from pgccd.robots import Obstacles, Robot, Verdict
 from pgccd.robots.joint_paths import JointPaths
 from robots.test_moving_obstacles import Sweep, least
-from robots.test_path_search import boxes, same, untested
+from robots.test_path_search import same
 
 HINGE = Part("revolute", UPRIGHT, UPRIGHT, (0, 0, 1), half=(0.1, 0.1, 0.1))
 

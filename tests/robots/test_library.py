@@ -10,10 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from support.arms import beams, loaded
+from support.arms import beams, boxes, loaded
 
 from pgccd.robots import motion_library
-from robots.test_path_search import boxes
 
 ROOT = Path(__file__).resolve().parents[2]
 HEADER, EXAMPLE = ROOT / "csrc/library", ROOT / "examples/library/rrt_connect.cpp"

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 import torch
 from oracle.arms import Arm, Measure, Part, gaps, least_gaps, turns
-from support.arms import UPRIGHT, beams, loaded, random_arm
+from support.arms import UPRIGHT, beams, loaded, random_arm, untested
 from support.cases import mostly_slow
 
 import pgccd
 from pgccd.robots import Obstacles, Robot, Verdict
 from pgccd.robots.kinematics import quaternion_of
-from robots.test_path_search import same, untested
+from robots.test_path_search import same
 
 SAMPLES = 1001
 CUBE = pgccd.Mesh.box([0.1, 0.1, 0.1])

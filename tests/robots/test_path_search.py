@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 from oracle.arms import Arm, Part, least_gaps
-from support.arms import UPRIGHT, beams, loaded, random_arm, stray
+from support.arms import UPRIGHT, beams, boxes, loaded, part_of, random_arm, stray, untested
 from support.cases import mostly_slow
 
 import pgccd
@@ -21,40 +21,6 @@ from pgccd.robots import Certificate, Obstacles, Robot, Verdict
 from pgccd.robots.path_search import PathSearch
 
 SAMPLES, PATHS = 2001, 6
-
-
-def boxes(rng: np.random.Generator, count: int, near: float, far: float) -> tuple[Obstacles, np.ndarray, np.ndarray]:
-    """Obstacles of one environment, their frames and half edges."""
-    half = rng.uniform(0.03, 0.15, (count, 3))
-    away = rng.normal(size=(count, 3))
-    position = away / np.linalg.norm(away, axis=1, keepdims=True) * rng.uniform(near, far, (count, 1))
-    q = rng.normal(size=(count, 4))
-    q /= np.linalg.norm(q, axis=1, keepdims=True)
-    w, x, y, z = q.T
-    frames = np.tile(np.eye(4), (count, 1, 1))
-    frames[:, :3, :3] = np.moveaxis(
-        np.array(
-            [
-                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-            ]
-        ),
-        2,
-        0,
-    )
-    frames[:, :3, 3] = position
-    obstacles = Obstacles([pgccd.Mesh.box(2 * h) for h in half], torch.tensor(position), torch.tensor(q))
-    return obstacles, frames, half
-
-
-def part_of(robot: Robot, body: int) -> int:
-    return int(robot.link_names[int(robot.body_link[body])].removeprefix("link"))
-
-
-def untested(robot: Robot) -> set[tuple[int, int]]:
-    pairs = {tuple(sorted((part_of(robot, i), part_of(robot, j)))) for i, j in robot.exclude.tolist()}
-    return pairs  # type: ignore[return-value]
 
 
 def compare(arm: Arm, robot: Robot, q: np.ndarray, found: Certificate, frames: np.ndarray, half: np.ndarray) -> None:

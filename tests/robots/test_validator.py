@@ -11,12 +11,11 @@ import numpy as np
 import pytest
 import torch
 from oracle.arms import Arm, Part
-from support.arms import UPRIGHT, beams, loaded, random_arm
+from support.arms import UPRIGHT, beams, boxes, loaded, random_arm
 from support.cases import mostly_slow
 
 import pgccd
 from pgccd.robots import MotionValidator, Obstacles, Verdict
-from robots.test_path_search import boxes
 
 
 def walks(rng: np.random.Generator, joints: int, count: int, size: float) -> list[tuple[list[float], list[float]]]:

@@ -397,7 +397,7 @@ def test_links_and_errors_of_pybullet(client: tuple[Any, int]) -> None:
         bullet.GEOM_HEIGHTFIELD, heightfieldData=[0.0] * 4, numHeightfieldRows=2, numHeightfieldColumns=2
     )
     bullet.createMultiBody(0.0, field)
-    with pytest.raises(ValueError, match="body 2, .*: expected a shape that PyBullet tells, .* height field"):
+    with pytest.raises(ValueError, match="body 2, .*: expected a shape that PyBullet returns, .* height field"):
         pgccd.simulators.PyBullet(number)
 
 

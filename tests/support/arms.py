@@ -1,18 +1,19 @@
-"""Arms for tests: small hand-written ones, and random ones."""
+"""Arms for tests, small hand-written ones and random ones, what they carry, and boxes around them."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from oracle.arms import Arm, Part
+from oracle.arms import Arm, Part, origin
 
 import pgccd
 from pgccd import ops, robots
-from pgccd.robots import shapes
-from pgccd.robots.kinematics import Joint, Tree
+from pgccd.robots import Obstacles, Robot, shapes
+from pgccd.robots.kinematics import Joint, Tree, quaternion_of
 
 UPRIGHT = (0.0, 0.0, 0.0)
 
@@ -93,3 +94,57 @@ def random_arm(rng: np.random.Generator, parts: int = 6) -> Arm:
             )
         )
     return Arm(made)
+
+
+def boxes(rng: np.random.Generator, count: int, near: float, far: float) -> tuple[Obstacles, np.ndarray, np.ndarray]:
+    """Obstacles of one environment, their frames and half edges."""
+    half = rng.uniform(0.03, 0.15, (count, 3))
+    away = rng.normal(size=(count, 3))
+    position = away / np.linalg.norm(away, axis=1, keepdims=True) * rng.uniform(near, far, (count, 1))
+    q = rng.normal(size=(count, 4))
+    q /= np.linalg.norm(q, axis=1, keepdims=True)
+    w, x, y, z = q.T
+    frames = np.tile(np.eye(4), (count, 1, 1))
+    frames[:, :3, :3] = np.moveaxis(
+        np.array(
+            [
+                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+            ]
+        ),
+        2,
+        0,
+    )
+    frames[:, :3, 3] = position
+    obstacles = Obstacles([pgccd.Mesh.box(2 * h) for h in half], torch.tensor(position), torch.tensor(q))
+    return obstacles, frames, half
+
+
+def part_of(robot: Robot, body: int) -> int:
+    return int(robot.link_names[int(robot.body_link[body])].removeprefix("link"))
+
+
+def untested(robot: Robot) -> set[tuple[int, int]]:
+    pairs = {tuple(sorted((part_of(robot, i), part_of(robot, j)))) for i, j in robot.exclude.tolist()}
+    return pairs  # type: ignore[return-value]
+
+
+def with_object(arm: Arm, rng: np.random.Generator) -> tuple[Arm, int, tuple[np.ndarray, np.ndarray]]:
+    """The arm with a box fixed to one of its parts that move, the part, and the pose of the box in it."""
+    moving: list[int] = []
+    for k, part in enumerate(arm.parts):
+        if part.kind != "fixed" or (k - 1 if part.parent is None else part.parent) in moving:
+            moving.append(k)
+    carrier = moving[int(rng.integers(len(moving)))]
+    xyz, rpy = rng.uniform(-0.3, 0.3, 3), rng.uniform(-2, 2, 3)
+    half = tuple(rng.uniform(0.03, 0.15, 3))
+    box = Part("fixed", tuple(xyz), tuple(rpy), (1.0, 0.0, 0.0), half=half, parent=carrier)
+    return Arm([*arm.parts, box]), carrier, (xyz, quaternion_of(origin(xyz, rpy)[:3, :3]))
+
+
+def attached_like(robot: Robot, whole: Arm, carrier: int, pose: Any, touching: list[str]) -> Robot:
+    part = whole.parts[-1]
+    assert part.half is not None
+    mesh = pgccd.Mesh.box(2 * np.array(part.half))
+    return robot.attach(f"link{carrier}", mesh, pose, touching, name=f"link{len(whole.parts) - 1}")

@@ -10,12 +10,10 @@ from pathlib import Path
 import numpy as np
 import torch
 from oracle.arms import Arm, Part, least_gaps
-from robots.test_attached import attached_like, with_object
-from robots.test_path_search import boxes, part_of, untested
 
 import pgccd
 from pgccd.robots import Certificate, Verdict
-from support.arms import UPRIGHT, beams, loaded, random_arm
+from support.arms import UPRIGHT, attached_like, beams, boxes, loaded, part_of, random_arm, untested, with_object
 from support.bulk import Tally
 
 SAMPLES, SEGMENTS = 2001, 2

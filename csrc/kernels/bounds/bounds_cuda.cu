@@ -133,8 +133,8 @@ __global__ void __launch_bounds__(kBlockThreads) place_centres(Refit refit) {
   }
 }
 
-// One warp per node block: measures an equal share of its body's corners, places one of its vertices, and records the
-// blocks below this one.
+// One warp per node block: measures an equal share of its body's corners, places an equal share of its vertices, and
+// records the blocks below this one.
 __global__ void __launch_bounds__(kBlockThreads) measure_bodies(Refit refit) {
   wait_for_previous_kernels();
   const int lane = threadIdx.x % kWarp;

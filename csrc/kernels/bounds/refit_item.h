@@ -21,7 +21,7 @@ PGCCD_HD Vec3<double> corner_sum(const int32_t* faces, int64_t face_count, int64
 
 PGCCD_HD LocalVertex local_vertex(const BodyShape& shape, int32_t vertex) {
   const Vec3<float> at_t0 = cast<float>(shape.local(0, vertex)), at_t1 = cast<float>(shape.local(1, vertex));
-  return {{at_t0.x, at_t0.y, at_t0.z, 0.0f}, {at_t1.x, at_t1.y, at_t1.z, 0.0f}};
+  return {{{at_t0.x, at_t0.y, at_t0.z, 0.0f}, {at_t1.x, at_t1.y, at_t1.z, 0.0f}}};
 }
 
 // Number of used slots, which come first. All are read at once.

@@ -90,12 +90,11 @@ struct alignas(16) DeformingSweep : PairFrame {
     const int64_t first = bodies.vertex_begin[body[side]];
     const auto at_end = [&](int its_end) -> Vec3<T> {
       if constexpr (sizeof(T) == sizeof(float)) {
-        return local_vertex(bodies.local_vertices[first + number(0)], its_end);
+        return bodies.local_vertices[first + number(0)].position(its_end);
       } else {
         const float* rows[kLanes];
         for (int lane = 0; lane < kLanes; ++lane) {
-          const LocalVertex& x = bodies.local_vertices[first + number(lane)];
-          rows[lane] = its_end == 0 ? x.at_t0 : x.at_t1;
+          rows[lane] = bodies.local_vertices[first + number(lane)].at[its_end];
         }
         return three_columns<T>(rows);
       }

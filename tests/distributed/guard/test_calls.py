@@ -183,37 +183,42 @@ class Recorder(Guard):
         return True
 
 
+class Loop:
+    """Two calls, of which one makes the other; they raise the error that they are given."""
+
+    def __init__(self) -> None:
+        self.guard = Recorder()
+
+    @collective
+    def run(self, error: Exception | None = None) -> str:
+        self.turn(error)
+        return "made"
+
+    @collective
+    def turn(self, error: Exception | None = None) -> None:
+        if error is not None:
+            raise error
+
+
+RUN, TURN = (f"{Loop.__qualname__}.{name}" for name in ("run", "turn"))
+
+
 def test_only_the_outermost_call_counts() -> None:
-    class Loop:
-        def __init__(self) -> None:
-            self.guard = Recorder()
-
-        @collective
-        def run(self, error: Exception | None = None) -> str:
-            self.turn()
-            if error is not None:
-                raise error
-            return "made"
-
-        @collective
-        def turn(self) -> None: ...
-
     loop = Loop()
     assert loop.run() == "made"
     loop.turn()
     loop.guard._tell_calls()
-    run, turn = (f"{Loop.__qualname__}.{name}" for name in ("run", "turn"))
-    assert loop.guard.told == [run, turn]
+    assert loop.guard.told == [RUN, TURN]
     with pytest.raises(ValueError, match="of all"):
         loop.run(of_all_ranks(ValueError("of all")))
     loop.run()  # an error of all ranks leaves nothing to wait for
     loop.guard._tell_calls()
-    assert loop.guard.told[2:] == [run, "None", run]
+    assert loop.guard.told[2:] == [RUN, "None", RUN]
     with pytest.raises(RankFailureError):
         loop.run(RankFailureError("another"))
     with pytest.raises(ValueError, match="one"):
         loop.run(ValueError("one"))
-    assert loop.guard.told[5:] == [run, run, "ValueError: one"]
+    assert loop.guard.told[5:] == [RUN, RUN, "ValueError: one"]
 
 
 def test_one_rank_tells_nothing() -> None:
@@ -222,30 +227,20 @@ def test_one_rank_tells_nothing() -> None:
 
 
 def test_an_error_is_told_with_the_call_that_raised_it() -> None:
-    class Loop:
-        def __init__(self) -> None:
-            self.guard = Recorder()
-
-        @collective
-        def turn(self, error: Exception | None = None) -> None:
-            if error is not None:
-                raise error
-
     loop, of_call, of_user = Loop(), ValueError("1"), ValueError("2")
-    turn = Loop.turn.__qualname__
     loop.guard.report(of_user)
     loop.turn()
     loop.guard.report(of_user)
     with pytest.raises(ValueError, match="1"):
         loop.turn(of_all_ranks(of_call))
     loop.guard.report(of_call)
-    loop.guard.activity = "step 3"  # what a call says of itself
+    loop.guard.activity = "step 3"  # a part of the call
     loop.guard.report(of_call)
     loop.guard.report(of_user)
     assert [text for text in loop.guard.told if text.startswith("failed")] == [
         "failed in the start: ValueError: 2",
-        f"failed in its own code, after {turn}: ValueError: 2",
-        f"failed in {turn}: ValueError: 1",
+        f"failed in its own code, after {TURN}: ValueError: 2",
+        f"failed in {TURN}: ValueError: 1",
         "failed in step 3: ValueError: 1",
         "failed in its own code, after step 3: ValueError: 2",
     ]

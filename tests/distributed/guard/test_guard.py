@@ -435,7 +435,7 @@ def test_a_hub_that_fails_blames_nobody(
     def fails(*_: object) -> None:
         raise MemoryError("8 GiB")
 
-    wait_for(lambda: len(ranks.members) == 3)  # the hub sends its failure to members only
+    wait_for(ranks.hub.is_complete.is_set)  # an error while ranks join ends their connection, not the hub
     monkeypatch.setattr(ranks.hub, "_drop_strangers", fails)
     ranks.thread_of_hub.join(5.0)
     said = "the hub of the guard, on rank 0, has failed (MemoryError: 8 GiB)"
