@@ -109,6 +109,7 @@ struct PaddedOps {
     STD_TORCH_CHECK(search.traversal.pair_count < (int64_t{1} << 31), "pairs: more than 2^31 - 1 rows in one call");
     search.traversal.settings = sweep_settings(settings.separation, settings.tolerance, tests_start);
     search.narrow.settings = settings;
+    search.narrow.may_have_starts = tests_start;
     search.narrow.report = report;
     return search;
   }

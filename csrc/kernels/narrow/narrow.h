@@ -32,6 +32,7 @@ struct NarrowInput {
   NarrowSettings settings;
   Report report;
   const double* latest = nullptr;  // (pair_count,) or null: later contacts may be skipped; used only on the CPU
+  bool may_have_starts = true;     // false: the bodies at t = 0 decide no candidate; used only on devices
 };
 
 // Capacity of a narrow phase that does not synchronise.

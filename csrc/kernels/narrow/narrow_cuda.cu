@@ -207,6 +207,7 @@ void search_candidates(const DeviceContext& context, const Bodies& bodies, Searc
                        const CandidateSpan& candidates, bool is_last) {
   if (search.input.pair_count == 0) return;
   search.input.candidates = candidates;
+  if (search.input.may_have_starts) launch_starts(context, bodies, search);
   launch_quickly(context, bodies, search);
   launch_plainly(context, bodies, search);
   is_last ? launch_patiently(context, bodies, search) : end_first_part(context, search);

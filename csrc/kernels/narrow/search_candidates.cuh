@@ -1,7 +1,7 @@
-// From candidates to contacts, in the phases of advancement.h, one kernel each: the quick phase for every candidate,
-// the plain one for those it leaves open, the patient one for the few still open. The candidate of a pair with the
-// smallest certified lower bound of toi is likely the first contact: the plain phase solves these first, so that most
-// others can be skipped.
+// From candidates to contacts. A first kernel decides the candidates of t = 0. One kernel for each phase of
+// advancement.h follows: the quick phase for every other candidate, the plain one for those it leaves open, the patient
+// one for the few still open. The candidate of a pair with the smallest certified lower bound of toi is likely the
+// first contact: the plain phase solves these first, so that most others can be skipped.
 #pragma once
 
 #include "kernels/launch.cuh"
@@ -28,13 +28,24 @@ __device__ inline void leave_open(const Search& search, int64_t at, const Progre
   if (search.least != nullptr) atomicMin(search.least + pair, toi_bits(progress.t));
 }
 
-// A candidate that the bodies at t = 0 decide. These are few, and decided by the first phase that searches.
+// The few candidates that the bodies at t = 0 decide. A kernel of their own: the registers of their tests, in any
+// branch of the phases, would make the phases a sixth slower.
 template <class Bodies>
-__device__ void search_start(const Bodies& bodies, const Search& search, int64_t row, const Candidate& candidate) {
-  if (!prospect_of(search, candidate.pair).is_needed) return;
-  const auto pair = pair_of(bodies, search.input, candidate);
-  const auto fine = [&] { return pair.fine(bodies); };
-  report(search, static_cast<int32_t>(row), candidate.pair, solve_start(bodies, pair, fine, candidate));
+__global__ void __launch_bounds__(kSolveThreads) search_starts(Bodies bodies, Search search) {
+  wait_for_previous_kernels();
+  __shared__ WaitingItems waiting[kSolveThreads / kWarp];
+  const CandidateSpan candidates = search.input.candidates;
+  const auto is_wanted = [&](uint32_t k) { return is_of_start(candidates.items[candidates.place(k)]); };
+  const auto search_start = [&](uint32_t k) {
+    const int64_t row = candidates.place(k);
+    const Candidate candidate = candidates.items[row];
+    if (!prospect_of(search, candidate.pair).is_needed) return;
+    const auto pair = pair_of(bodies, search.input, candidate);
+    const auto fine = [&] { return pair.fine(bodies); };
+    report(search, static_cast<int32_t>(row), candidate.pair, solve_start(bodies, pair, fine, candidate));
+  };
+  for_each_selected(0, static_cast<uint32_t>(candidates.count()), waiting[threadIdx.x / kWarp], is_wanted,
+                    search_start);
 }
 
 // One thread per candidate. The few candidates of a small search are all left to the plain phase.
@@ -55,10 +66,7 @@ __global__ void __launch_bounds__(kBlockThreads, 3) search_quickly(Bodies bodies
   for (int64_t k = thread; k < count; k += stride) {
     const int64_t c = candidates.place(k);
     const Candidate candidate = candidates.items[c];
-    if (is_of_start(candidate)) {
-      search_start(bodies, search, c, candidate);
-      continue;
-    }
+    if (is_of_start(candidate)) continue;
     const auto pair = pair_of(bodies, search.input, candidate);
     const Prospect prospect = prospect_of(search, candidate.pair);
     Progress<double> progress;
@@ -76,7 +84,7 @@ __device__ void solve_open(const Bodies& bodies, const Search& search, uint32_t 
   const Prospect prospect = prospect_of(search, open.pair);
   if (!prospect.is_needed || open.t > prospect.latest) return;
   const Candidate candidate = search.input.candidates.items[open.row];
-  if (is_of_start(candidate)) return search_start(bodies, search, open.row, candidate);
+  if (is_of_start(candidate)) return;
   const auto pair = pair_of(bodies, search.input, candidate);
   const Outcome<double> outcome =
       solve_plainly(bodies, pair, candidate, search.input.settings, prospect.latest, open.progress());
@@ -90,7 +98,7 @@ __device__ void solve_open(const Bodies& bodies, const Search& search, uint32_t 
 // Of one part, the first launch solves the candidates that are likely first contacts, or all if there is a thread for
 // each or none is likely (`least` is null); the second those that may be earlier than the contacts found.
 template <class Bodies>
-__global__ void __launch_bounds__(kSolveThreads, 6) search_plainly(Bodies bodies, Search search, bool is_first) {
+__global__ void __launch_bounds__(kSolveThreads, 4) search_plainly(Bodies bodies, Search search, bool is_first) {
   wait_for_previous_kernels();
   __shared__ WaitingItems waiting[kSolveThreads / kWarp];
   const uint32_t begin = search.counters->open_before, end = smaller(search.counters->open, search.capacity);
@@ -124,6 +132,12 @@ __global__ void __launch_bounds__(kSolveThreads) search_patiently(Bodies bodies,
     report(search, open.row, open.pair,
            solve_candidate(bodies, pair, candidate, search.input.settings, prospect.latest, open.progress()));
   }
+}
+
+template <class Bodies>
+void launch_starts(const DeviceContext& context, const Bodies& bodies, const Search& search) {
+  launch_kernel(context, search_starts<Bodies>, resident_blocks_of(context, search_starts<Bodies>, kSolveThreads),
+                kSolveThreads, bodies, search);
 }
 
 template <class Bodies>
