@@ -169,6 +169,21 @@ def test_collision_free_fraction_of_the_step(device: torch.device) -> None:
             assert len(again) == expected or (expected == 0 and float(again.toi) > 1 - 1e-6)
 
 
+@pytest.mark.parametrize(
+    ("part", "path", "touches"), [(0.06, "rigid", True), (0.07, "rigid", False), (0.06, "linear", False)]
+)
+def test_only_a_start_within_a_sixteenth_of_the_tolerance_touches(
+    part: float, path: Any, touches: bool, device: torch.device
+) -> None:
+    scene = pgccd.Scene([pgccd.Mesh.box([2.0, 2.0, 2.0])], [0, 0], device=device)
+    # Both boxes rest; their faces are this part of the tolerance apart.
+    position = torch.tensor([[0.0, 0.0, 0.0], [2.0 + 0.01 * part, 0.1, 0.1]], dtype=torch.float64, device=device)
+    upright = torch.tensor([[1.0, 0.0, 0.0, 0.0]], device=device).repeat(2, 1)
+    motion = pgccd.RigidMotion(position, upright, position, upright, path=path)
+    assert pgccd.detect(scene, motion, tolerance=0.01).toi.tolist() == [0.0] * touches
+    assert len(pgccd.detect(scene, motion, tolerance=0.01, nonzero_toi=True)) == 0
+
+
 def test_nonzero_toi(device: torch.device) -> None:
     bodies = crowd(3, turn=0.5)
     scene, motion = bodies.scene(device), bodies.motion(device=device)
