@@ -53,7 +53,8 @@ def proposed(y: torch.Tensor) -> torch.Tensor:
 # %%
 # **The push.** `stencils` writes the gap of each contact as a weighted sum of four vertices. Where the gap at the end
 # of the proposal is less than wanted, the vertices move along the normal, each by the mean of what its contacts ask
-# for. The pushed vertices may meet others, so the search is repeated.
+# for. The pushed vertices may meet others, so the search is repeated. If meshes have a thickness, or the scene has
+# margins, those of both bodies are to be subtracted from the gap: see the guide on cloth.
 
 THICKNESS, REACH = 2e-3, 4e-3
 

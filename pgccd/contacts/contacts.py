@@ -241,8 +241,8 @@ class ContactColumns(PairColumns):
 
     def stencils(self, scene: Scene) -> tuple[Tensor, Tensor]:
         """Each contact as a weighted sum of the four vertices of its features: the weights of body i are negative, and
-        the sum of weight times position at toi is the gap, from i to j. The same weights spread a force over the
-        vertices.
+        the sum of weight times position at toi is the gap between the features, from i to j, from which thickness
+        of meshes and margins are not subtracted. The same weights spread a force over the vertices.
 
         Args:
             scene: of which these are the contacts.

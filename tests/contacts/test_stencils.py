@@ -12,12 +12,16 @@ from pgccd.contacts.contacts import ContactColumns
 SEPARATION = 0.05
 
 
-def scene_of(device: torch.device | str = "cpu") -> pgccd.Scene:
-    """Meshes of triangles, segments and points."""
+def scene_of(device: torch.device | str = "cpu", is_thick: bool = False) -> pgccd.Scene:
+    """Meshes of triangles, segments and points; some with a thickness, and bodies with margins, if `is_thick`."""
     meshes = [pgccd.Mesh.icosphere(0.5, 1), pgccd.Mesh.box([0.9, 0.7, 0.5])]
     meshes += [pgccd.Mesh.segments([[-0.5, 0, 0], [0.5, 0, 0], [0.5, 0.5, 0]], [[0, 1], [1, 2]])]
     meshes += [pgccd.Mesh.points([[-0.3, 0, 0.0], [0.4, 0.1, 0], [0.0, 0.3, 0.2]])]
-    return pgccd.Scene(meshes, [0, 1, 2, 3, 3, 2, 1, 0], device, self_collision=True)
+    margin = None
+    if is_thick:
+        meshes = [mesh.thickened(0.02 * k) for k, mesh in enumerate(meshes)]
+        margin = torch.linspace(0.0, 0.03, 8)
+    return pgccd.Scene(meshes, [0, 1, 2, 3, 3, 2, 1, 0], device, self_collision=True, margin=margin)
 
 
 def motion_of(scene: pgccd.Scene, seed: int, waypoints: int = 2) -> list[torch.Tensor]:
@@ -43,7 +47,11 @@ def check(scene: pgccd.Scene, hits: ContactColumns, start: torch.Tensor, end: to
     ends = [each[vertices] if each.dim() == 2 else each[rows, vertices] for each in (start, end)]
     x = ends[0] + hits.toi.clamp(max=1.0)[:, None, None] * (ends[1] - ends[0])
     gap = (weights[..., None] * x).sum(dim=1)
-    off = (gap - SEPARATION * hits.normal).norm(dim=1)
+    # Features are apart by the thickness of their meshes and the margins of both bodies besides.
+    thickness = torch.tensor([mesh.thickness for mesh in scene.meshes.meshes], device=scene.device)
+    thick = thickness[scene.mesh_index.long()] + (0.0 if scene.margin is None else scene.margin)
+    wanted = SEPARATION + thick[hits.pairs.clamp(min=0)].sum(dim=1)
+    off = (gap - wanted[:, None] * hits.normal).norm(dim=1)
     assert (off[is_row] < 1e-5).all()
     # The two sides of a stencil are of the bodies of the pair.
     begin, sides = scene.layout.vertex_begin, (weights < -1e-9, weights > 1e-9)
@@ -53,8 +61,9 @@ def check(scene: pgccd.Scene, hits: ContactColumns, start: torch.Tensor, end: to
     return set(hits.kind[is_row].tolist())
 
 
-def test_weighted_sums_are_gaps(device: torch.device) -> None:
-    scene, kinds = scene_of(device), set()
+@pytest.mark.parametrize("is_thick", [False, True])
+def test_weighted_sums_are_gaps_of_features(is_thick: bool, device: torch.device) -> None:
+    scene, kinds = scene_of(device, is_thick), set()
     for seed in range(20):
         start, end = motion_of(scene, seed)
         motion = pgccd.VertexMotion(start, end)
