@@ -372,6 +372,9 @@ def _inputs(
         raise ArgumentError("--scene", "takes the place of MESH and --motion")
     if options.scene is None and not options.meshes:
         raise ArgumentError("MESH", "expected mesh files, or --scene")
+    for name in options.meshes or ():
+        if Path(name).suffix == ".json":
+            raise ArgumentError("MESH", f"expected mesh files, got {name}: a scene file is given as --scene {name}")
     if options.scene is None and options.motion is None and needs_motion:
         raise ArgumentError("--motion", "expected an npz file with the poses")
     source = "--motion" if options.scene is None else "--scene"

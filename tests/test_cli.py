@@ -277,6 +277,7 @@ def test_info_names_version_and_kernels(meshes: list[str], capsys: pytest.Captur
         (["detect", "no.obj", "--motion", "no.npz", "--page", "."], "argument --page: expected a name that ends in"),
         (["view", "no.obj", "--page", "folder.html"], "argument --page: folder.html is a folder"),
         (["view"], "argument MESH"),
+        (["audit", "run.json"], "argument MESH: expected mesh files, got run.json: a scene file is given as --scene"),
         (["view", "no.ply"], "argument MESH: no mesh file at no.ply"),
         (["view", "no.ply", "--page", "file.txt/page.html"], "argument --page: file.txt/page.html cannot be written"),
         (

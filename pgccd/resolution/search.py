@@ -113,7 +113,7 @@ def warn_of_held(body: int, stacklevel: int) -> None:
     """Warns of one of `held_bodies`, in the line that is `stacklevel` calls above this function, itself included."""
     warnings.warn(
         f"resolve: body {body} deforms and has fraction 0: a contact at the start stops all of its vertices. Push the "
-        "vertices of contacts apart first, see docs/how-to/cloth.md",
+        "vertices of contacts apart first, further than thickness and margins, see docs/how-to/cloth.md",
         UserWarning,
         stacklevel,
     )

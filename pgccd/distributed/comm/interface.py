@@ -19,8 +19,7 @@ from pgccd.distributed.comm.objects import Objects
 from pgccd.distributed.comm.peer_memory import PeerMessages
 from pgccd.distributed.guard import Guard, RankFailureError, collective, is_of_all_ranks
 
-# Above this number of ranks, counts and rows are exchanged point-to-point with neighbours; up to it, one collective
-# call is faster.
+# Up to this number of ranks one collective call exchanges counts and rows; above it, messages go to neighbours only.
 _NEIGHBOURS_ABOVE = 32
 # Calls that each transport makes in its own way.
 _OF_TRANSPORTS = ("exchange", "all_gather", "sum", "min", "reserve_peer_messages")
