@@ -87,6 +87,13 @@ __device__ inline bool is_last_block(uint32_t* blocks_done) {
   return atomicAdd(blocks_done, 1u) + 1 == gridDim.x;
 }
 
+// The number of this warp in the launch. If only warps with low numbers have items, these are the first warps of all
+// blocks: a multiprocessor may hold many consecutive blocks.
+__device__ inline uint32_t warp_number(bool has_few_items) {
+  const uint32_t in_block = threadIdx.x / kWarp;
+  return has_few_items ? in_block * gridDim.x + blockIdx.x : blockIdx.x * (blockDim.x / kWarp) + in_block;
+}
+
 __device__ inline uint32_t lanes_below(int lane) { return (1u << lane) - 1u; }
 
 // Threads of a warp that append an item each to one list share one atomic. Returns this thread's index.

@@ -84,7 +84,7 @@ void for_each_item(const DeviceContext& context, int64_t count, Fn fn) {
 template <class T>
 void fill_bytes(const DeviceContext& context, T* target, int value, int64_t count) {
   // In a CUDA graph a small memset takes 7 us, a kernel less than 2.
-  constexpr int64_t kFewBytes = 4096;
+  constexpr int64_t kFewBytes = 1 << 20;
   const int64_t bytes = count * static_cast<int64_t>(sizeof(T));
   if (bytes == 0) return;  // adds no node to a CUDA graph
   if constexpr (sizeof(T) % sizeof(uint32_t) == 0 && alignof(T) % alignof(uint32_t) == 0) {

@@ -164,18 +164,21 @@ void collect_padded(const DeviceContext& context, const BroadBodies& bodies, con
   const Found found = list_pairs(context, bodies, out.capacity, launch);
   const PairCounts* seen = found.counts;
   const PairCapacity capacity = out.capacity;
-  int64_t* counts = out.counts;
-  for_each_item(context, 1, [=] __device__(int64_t) {
-    const int64_t pairs = static_cast<int64_t>(seen->pairs);
-    counts[kPairsNeeded] = pairs;
-    counts[kOverlapsNeeded] = static_cast<int64_t>(seen->overlaps);
-    counts[kLongRowsNeeded] = seen->has_long_row;
+  int64_t *rows = out.rows, *counts = out.counts;
+  // Counts, and padding behind the rows that are written below.
+  for_each_item(context, larger<int64_t>(1, capacity.pairs), [=] __device__(int64_t row) {
+    const int64_t pairs = static_cast<int64_t>(seen->pairs), overlaps = static_cast<int64_t>(seen->overlaps);
     const bool is_written = seen->has_long_row == 0 || capacity.long_rows;
-    counts[kPairsWritten] = is_written ? smaller(pairs, capacity.pairs) : 0;
-    const bool fits = pairs <= capacity.pairs && counts[kOverlapsNeeded] <= capacity.overlaps;
+    const int64_t written = is_written ? smaller(pairs, capacity.pairs) : 0;
+    if (row >= written && row < capacity.pairs) write_row(rows, row, -1, -1);
+    if (row != 0) return;
+    counts[kPairsNeeded] = pairs;
+    counts[kOverlapsNeeded] = overlaps;
+    counts[kLongRowsNeeded] = seen->has_long_row;
+    counts[kPairsWritten] = written;
+    const bool fits = pairs <= capacity.pairs && overlaps <= capacity.overlaps;
     counts[kPairsOverflow] = fits && is_written ? 0 : 1;
   });
-  fill_bytes(context, out.rows, 0xff, 2 * out.capacity.pairs);
   write_pairs(context, found, out.capacity.pairs, out.capacity.long_rows, bodies.count, out.rows);
   note_time(context, out.counts + kBroadEnded);
 }

@@ -40,10 +40,14 @@ class BlockSample {
       for (int k = 0; k < kCount; ++k) of_warp_[threadIdx.x / kWarp][k] = own[k];
     }
     __syncthreads();
-    for (int k = 0; k < kCount; ++k) {
-      own[k] = of_warp_[0][k];
-      for (int warp = 1; warp < kWarps; ++warp) own[k] = combine(own[k], of_warp_[warp][k]);
+    // One thread for each value: all threads together would take longer.
+    if (const int k = threadIdx.x; k < kCount) {
+      double all = of_warp_[0][k];
+      for (int warp = 1; warp < kWarps; ++warp) all = combine(all, of_warp_[warp][k]);
+      of_warp_[0][k] = all;
     }
+    __syncthreads();
+    for (int k = 0; k < kCount; ++k) own[k] = of_warp_[0][k];
     __syncthreads();  // before the storage is reused
   }
 

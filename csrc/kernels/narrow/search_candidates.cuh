@@ -4,6 +4,8 @@
 // first contact: the plain phase solves these first, so that most others can be skipped.
 #pragma once
 
+#include <type_traits>
+
 #include "kernels/launch.cuh"
 #include "kernels/narrow/search.cuh"
 #include "kernels/warp_share.cuh"
@@ -12,6 +14,9 @@ namespace pgccd {
 
 // Small blocks spread long searches over many multiprocessors.
 constexpr int kSolveThreads = 64;
+// Resident blocks of the plain phase on a multiprocessor: more would have too few registers.
+template <class Bodies>
+constexpr int kPlainBlocks = std::is_same_v<Bodies, RigidBodies> ? 4 : 6;
 // Up to this many candidates, the quick phase takes longer than what it saves the plain one.
 constexpr int64_t kFewCandidates = 1 << 15;
 
@@ -98,7 +103,8 @@ __device__ void solve_open(const Bodies& bodies, const Search& search, uint32_t 
 // Of one part, the first launch solves the candidates that are likely first contacts, or all if there is a thread for
 // each or none is likely (`least` is null); the second those that may be earlier than the contacts found.
 template <class Bodies>
-__global__ void __launch_bounds__(kSolveThreads, 4) search_plainly(Bodies bodies, Search search, bool is_first) {
+__global__ void __launch_bounds__(kSolveThreads, kPlainBlocks<Bodies>)
+    search_plainly(Bodies bodies, Search search, bool is_first) {
   wait_for_previous_kernels();
   __shared__ WaitingItems waiting[kSolveThreads / kWarp];
   const uint32_t begin = search.counters->open_before, end = smaller(search.counters->open, search.capacity);

@@ -10,18 +10,20 @@ struct FoundPairs {
 };
 
 // About one in ten pairs has a body that has changed, with a hundred bytes to read and write each: a block first
-// collects these from many pairs, so that all its threads have work.
-constexpr int kTilePairs = 8 * kBlockThreads;
+// collects these from a tile of pairs, so that all its threads have work. With few pairs, tiles are smaller, so that
+// there is one for each block that the device holds.
+constexpr int kLargestTile = 8 * kBlockThreads;
 
-__global__ void __launch_bounds__(kBlockThreads) shortened_pairs_kernel(ShortenedPairs given, FoundPairs* found) {
+__global__ void __launch_bounds__(kBlockThreads)
+    shortened_pairs_kernel(ShortenedPairs given, int tile_size, FoundPairs* found) {
   wait_for_previous_kernels();
-  __shared__ int32_t tile[kTilePairs];
+  __shared__ int32_t tile[kLargestTile];
   __shared__ uint32_t count, first;
-  const int64_t stride = static_cast<int64_t>(gridDim.x) * kTilePairs;
-  for (int64_t begin = static_cast<int64_t>(blockIdx.x) * kTilePairs; begin < given.pair_count; begin += stride) {
+  const int64_t stride = static_cast<int64_t>(gridDim.x) * tile_size;
+  for (int64_t begin = static_cast<int64_t>(blockIdx.x) * tile_size; begin < given.pair_count; begin += stride) {
     if (threadIdx.x == 0) count = 0;
     __syncthreads();
-    const int pairs = static_cast<int>(smaller<int64_t>(kTilePairs, given.pair_count - begin));
+    const int pairs = static_cast<int>(smaller<int64_t>(tile_size, given.pair_count - begin));
     for (int k = threadIdx.x; k < pairs; k += kBlockThreads) {
       require_on_device(given.changed.is_sound(begin + k), "pairs: expected padding, or bodies");
       if (given.changed(begin + k)) tile[warp_append(&count)] = k;
@@ -61,10 +63,12 @@ void lower_first_toi_of_bodies(const DeviceContext& context, const FirstToiInput
 void shortened_pairs(const DeviceContext& context, const ShortenedPairs& given) {
   FoundPairs* const found = context.allocate<FoundPairs>(1);
   fill_bytes(context, found, 0, 1);
-  const int64_t tiles = (given.pair_count + kTilePairs - 1) / kTilePairs;
-  const int64_t blocks =
-      larger<int64_t>(1, smaller<int64_t>(tiles, resident_blocks_of(context, shortened_pairs_kernel)));
-  launch_kernel(context, shortened_pairs_kernel, static_cast<unsigned>(blocks), kBlockThreads, given, found);
+  const int64_t resident = resident_blocks_of(context, shortened_pairs_kernel);
+  int tile_size = kBlockThreads;
+  while (tile_size < kLargestTile && tile_size * resident < given.pair_count) tile_size *= 2;
+  const int64_t tiles = (given.pair_count + tile_size - 1) / tile_size;
+  const int64_t blocks = larger<int64_t>(1, smaller(tiles, resident));
+  launch_kernel(context, shortened_pairs_kernel, static_cast<unsigned>(blocks), kBlockThreads, given, tile_size, found);
 }
 
 }  // namespace pgccd

@@ -41,7 +41,7 @@ __global__ void __launch_bounds__(kBlockThreads)
   const int lane = threadIdx.x % kWarp;
   const auto put = [&](Counter at, const LeafPair& pair) { meeting.put(at, pair); };
   const uint32_t count = leaves.size(), warps = gridDim.x * kWarpsPerBlock;
-  const uint32_t warp = (blockIdx.x * blockDim.x + threadIdx.x) / kWarp;
+  const uint32_t warp = warp_number(count <= warps * kWarp);
   uint32_t taken = 0;  // by the warp, 32 consecutive items at a time
   int waiting = 0;
   LeafPair item{};

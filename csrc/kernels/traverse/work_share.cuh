@@ -11,8 +11,9 @@ constexpr uint32_t kNoItem = ~0u;
 struct WorkQueue {
   uint32_t* next;  // number of items taken from the queue: 0 at the start of the launch
   uint32_t count;  // items
-  uint32_t
-      most_of_block;  // a block ends after this many items of the queue, so that its multiprocessor can start another
+  // A block ends after this many items of the queue, so that its multiprocessor can start another; kNoItem in a launch
+  // whose blocks all run at the same time.
+  uint32_t most_of_block;
 };
 
 // A warp's part of the queue. All members are called by whole warps.
@@ -24,9 +25,9 @@ class WorkShare {
       : queue_(queue), taken_by_block_(taken_by_block) {
     if (threadIdx.x == 0) taken_by_block_ = 0;
     __syncthreads();
-    const uint32_t warp = (blockIdx.x * blockDim.x + threadIdx.x) / kWarp;
     queued_from_ = gridDim.x * (blockDim.x / kWarp) * groups_a_warp;
-    give(warp * groups_a_warp, groups_a_warp);
+    const bool is_one_wave = queue.most_of_block == kNoItem;
+    give(warp_number(is_one_wave && queue.count <= queued_from_) * groups_a_warp, groups_a_warp);
   }
 
   // True if no items remain for this warp.
