@@ -17,7 +17,7 @@ MOST_LINES = {"header": 400, "kernel": 400, "python": 600, "test": 600}
 
 def drawn() -> dict[str, set[str]]:
     """For each folder in the drawing of docs/explanation/architecture.md, from above, the folders that it may use."""
-    text = (ROOT / "docs/explanation/architecture.md").read_text().split("## The house", 1)[1].split("\n## ", 1)[0]
+    text = (ROOT / "docs/explanation/architecture.md").read_text().split("## Packages", 1)[1].split("\n## ", 1)[0]
     rows = re.findall(r"^\| `([a-z/]+)/` \|[^|]*\|([^|]*)\|$", text, re.MULTILINE)
     return {name: set(re.findall(r"`([a-z]+)`", used)) for name, used in rows}
 

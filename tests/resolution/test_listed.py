@@ -90,6 +90,23 @@ def test_pairs_with_a_body_that_has_changed(device: torch.device, by_velocity: b
         ops.resolve_pairs(own, other, parts, marks, rows, True, by_velocity, 5)
 
 
+@pytest.mark.parametrize("count", [1, 129, 400_000, 3_000_001])
+def test_any_number_of_pairs(device: torch.device, count: int) -> None:
+    """A GPU divides them into tiles, whose size depends on their number."""
+    scene, motion = bodies_of(3000, 4)
+    own = [column.to(device) for column in pgccd.MovingBodies.of(scene, motion).tensors]
+    generator = torch.Generator().manual_seed(count)
+    pairs = torch.randint(3000, (count, 2), generator=generator)
+    changed = torch.rand(3000, generator=generator) < 0.02
+    expected = pairs[changed[pairs].any(dim=1)]
+    rows = (own, [column[:0] for column in own], torch.ones(3000, dtype=torch.float64, device=device))
+    marks, capacity = changed.to(device).view(torch.uint8), len(expected)
+    found, _, counts = ops.resolve_pairs(*rows, marks, pairs.to(device), False, False, capacity)
+    assert counts.tolist() == [capacity, 0, 0, capacity, 0, 0, 0]
+    codes = torch.tensor([3000, 1])
+    assert torch.equal((found.cpu() * codes).sum(dim=1).sort().values, (expected * codes).sum(dim=1).sort().values)
+
+
 def test_slowing_all_down(device: torch.device) -> None:
     first = torch.tensor([0.5, torch.inf, 0.005, 1.0, 0.5, torch.inf], dtype=torch.float64, device=device)
     fraction = torch.tensor([0.5, 1.0, 1.0, 1.0, 0.0, 0.0], dtype=torch.float64, device=device)
