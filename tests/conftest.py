@@ -28,9 +28,15 @@ def pytest_configure(config: pytest.Config) -> None:
         config.option.markexpr = "not slow"
     if getattr(config.option, "dist", "no") == "load":  # with xdist
         config.option.dist = "worksteal"  # tests of a file run in one worker, as far as they can: they share fixtures
+    if os.environ.get("PYTORCH_NO_CUDA_MEMORY_CACHING"):
+        torch.cuda.graph = _skip_graph  # type: ignore[misc, assignment]
     # Workers share the cores.
     workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
     torch.set_num_threads(max(1, torch.get_num_threads() // workers))
+
+
+def _skip_graph(*_: object, **__: object) -> None:
+    pytest.skip("a graph needs torch's memory pool")
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

@@ -103,29 +103,39 @@ def test_initial_state_assumed_free(device: torch.device) -> None:
             assert_same(assumed, rest)
 
 
-@pytest.mark.parametrize("report", REPORTS)
-@pytest.mark.parametrize("kind", ["deforming", "rigid"])
-def test_other_ways_of_searching(device: torch.device, kind: str, report: narrow.Report) -> None:
-    """Given pairs, chunks, a fixed capacity, captured steps and trajectories report the same contacts."""
+def there_and_back(kind: str, device: torch.device) -> tuple[pgccd.Scene, Any, pgccd.Trajectory]:
+    """Pairs that intersect at the start, a step, and the step forward and backward."""
     rng = np.random.default_rng([14, len(kind)])
     a, b = integer_pairs(rng, 150, degenerate=False)
     if kind == "deforming":
         scene, motion = intersecting.deforming_scene(rng, a, b, device, True)
-        path = pgccd.Trajectory(torch.stack([motion.x_t0, motion.x_t1, motion.x_t0]))
-    else:
-        scene, rigid = intersecting.rigid_scene(rng, a, b, device, "rigid")
-        motion = pgccd.RigidMotion(*rigid.at(0.0), *rigid.at(1.0))  # a trajectory turns the shorter way
-        ends = [rigid.at(t) for t in (0.0, 1.0, 0.0)]
-        path = pgccd.Trajectory(*(torch.stack([end[k] for end in ends]) for k in range(2)))
-    expected = detected(scene, motion, report)
-    pairs = torch.arange(2 * len(a), device=device).view(-1, 2)
-    assert_same(detected(scene, motion, report, pairs=pairs), expected)
-    assert_same(detected(scene, motion, report, memory_budget=20_000), expected)
-    capacity = replace(pgccd.Capacity.of(2 * len(a)), candidates=100_000, contacts=100_000)
-    assert_same(detected(scene, motion, report, capacity=capacity).trim(), expected)
+        return scene, motion, pgccd.Trajectory(torch.stack([motion.x_t0, motion.x_t1, motion.x_t0]))
+    scene, rigid = intersecting.rigid_scene(rng, a, b, device, "rigid")
+    ends = [rigid.at(t) for t in (0.0, 1.0, 0.0)]
+    path = pgccd.Trajectory(*(torch.stack([end[k] for end in ends]) for k in range(2)))
+    return scene, pgccd.RigidMotion(*ends[0], *ends[1]), path  # a trajectory turns the shorter way
+
+
+@pytest.mark.parametrize("report", REPORTS)
+@pytest.mark.parametrize("kind", ["deforming", "rigid"])
+def test_graphs(device: torch.device, kind: str, report: narrow.Report) -> None:
+    scene, motion, _ = there_and_back(kind, device)
     captured = captured_loop(scene, motion, report)
     for _ in range(2):
-        assert_same(captured(motion).trim(), expected)
+        assert_same(captured(motion).trim(), detected(scene, motion, report))
+
+
+@pytest.mark.parametrize("report", REPORTS)
+@pytest.mark.parametrize("kind", ["deforming", "rigid"])
+def test_other_ways_of_searching(device: torch.device, kind: str, report: narrow.Report) -> None:
+    """Given pairs, chunks, a fixed capacity and trajectories report the same contacts."""
+    scene, motion, path = there_and_back(kind, device)
+    expected, count = detected(scene, motion, report), scene.body_count
+    pairs = torch.arange(count, device=device).view(-1, 2)
+    assert_same(detected(scene, motion, report, pairs=pairs), expected)
+    assert_same(detected(scene, motion, report, memory_budget=20_000), expected)
+    capacity = replace(pgccd.Capacity.of(count), candidates=100_000, contacts=100_000)
+    assert_same(detected(scene, motion, report, capacity=capacity).trim(), expected)
     along = detected(scene, path, report)
     if report == "any":
         assert torch.isin(expected.pairs, along.pairs).all()
