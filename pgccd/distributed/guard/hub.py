@@ -173,9 +173,12 @@ class Hub:
     def _read(self, channel: Channel) -> None:
         if channel in self._greetings:
             try:
-                self._greet(channel)
+                who = self._greet(channel)
             except Exception:  # whatever its kind: an invalid greeting ends this channel, not the hub
                 self._forget(channel)
+            else:
+                if who is not None:
+                    self._join(channel, who)
             return
         if channel not in self._ranks:  # dropped in this turn
             return
@@ -193,22 +196,26 @@ class Hub:
             if not self._members[rank].finished:
                 self._blame(f"{self._members[rank].name} {what}", is_final=True)
 
-    def _greet(self, channel: Channel) -> None:
+    def _greet(self, channel: Channel) -> Message | None:
+        """The greeting of a rank that has been accepted."""
         message = channel.receive_one(0.0)
         if message is None and not channel.has_ended:
-            return
+            return None
         greeting = self._greetings[channel][0]
         who = None if message is None else greeting.check(message)
         if who is None or who["rank"] in self._members or not 0 <= who["rank"] < self._size:
             if who is not None:
                 channel.send(refused=True)
             self._forget(channel)
-            return
+            return None
+        self._note_address(channel)
+        greeting.accept(who)
+        return who
+
+    def _join(self, channel: Channel, who: Message) -> None:
         del self._greetings[channel]
         self._ranks[channel] = who["rank"]
         self._members[who["rank"]] = _Member(channel, one_line(f"rank {who['rank']} ({who.get('name')})"))
-        self._note_address(channel)
-        greeting.accept(who)
         if len(self._members) == self._size:
             self._selector.unregister(self._listener)
             self._listener.close()

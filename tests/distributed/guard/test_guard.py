@@ -384,6 +384,23 @@ def test_half_greetings_do_not_keep_ranks_out(
         one.close()
 
 
+def test_a_rank_connects_again_if_the_hub_cannot_accept_it(
+    incomplete: Ranks, exits: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The hub does not count a rank whose connection it has closed."""
+    note, errors = incomplete.hub._note_address, [OSError("the first connection is reset")]
+
+    def fail_once(its_channel: channel.Channel) -> None:
+        if errors:
+            raise errors.pop()
+        note(its_channel)
+
+    monkeypatch.setattr(incomplete.hub, "_note_address", fail_once)
+    last = join(("127.0.0.1", incomplete.hub.port), TOKEN, {"rank": 3, "name": "late"}, 20.0)
+    assert incomplete.hub.is_complete.wait(5.0) and not errors and exits == []
+    last.close()
+
+
 def test_a_greeting_counts_once(incomplete: Ranks, exits: list[int]) -> None:
     """What a rank has sent, and what the hub itself sends, are no proof on another connection."""
     recorded: list[bytes] = []
