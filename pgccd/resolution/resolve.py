@@ -128,8 +128,8 @@ def resolve(
 
     Raises:
         TypeError, ValueError: naming the argument; also if an input requires grad. A UserWarning says that the scene
-            has one body, if that body is not tested against itself, and names a deforming body that moves and gets
-            fraction 0.
+            has one body, if that body is not tested against itself. Without `capacity`, another one names a deforming
+            body that moves and gets fraction 0.
 
     Example:
         >>> resolved = pgccd.resolve(scene, motion)
