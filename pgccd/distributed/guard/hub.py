@@ -173,12 +173,11 @@ class Hub:
     def _read(self, channel: Channel) -> None:
         if channel in self._greetings:
             try:
-                who = self._greet(channel)
+                self._greet(channel)
             except Exception:  # whatever its kind: an invalid greeting ends this channel, not the hub
                 self._forget(channel)
-            else:
-                if who is not None:
-                    self._join(channel, who)
+            if len(self._members) == self._size:
+                self._stop_listening()
             return
         if channel not in self._ranks:  # dropped in this turn
             return
@@ -196,31 +195,34 @@ class Hub:
             if not self._members[rank].finished:
                 self._blame(f"{self._members[rank].name} {what}", is_final=True)
 
-    def _greet(self, channel: Channel) -> Message | None:
-        """The greeting of a rank that has been accepted."""
+    def _greet(self, channel: Channel) -> None:
         message = channel.receive_one(0.0)
         if message is None and not channel.has_ended:
-            return None
+            return
         greeting = self._greetings[channel][0]
         who = None if message is None else greeting.check(message)
         if who is None or who["rank"] in self._members or not 0 <= who["rank"] < self._size:
             if who is not None:
                 channel.send(refused=True)
             self._forget(channel)
-            return None
-        self._note_address(channel)
-        greeting.accept(who)
-        return who
-
-    def _join(self, channel: Channel, who: Message) -> None:
+            return
+        rank = who["rank"]
+        # First, since the rank goes on as soon as it is accepted.
+        self._ranks[channel], self._members[rank] = rank, _Member(channel, one_line(f"rank {rank} ({who.get('name')})"))
+        try:
+            self._note_address(channel)
+            greeting.accept(who)
+        except Exception:
+            del self._ranks[channel], self._members[rank]
+            raise
         del self._greetings[channel]
-        self._ranks[channel] = who["rank"]
-        self._members[who["rank"]] = _Member(channel, one_line(f"rank {who['rank']} ({who.get('name')})"))
-        if len(self._members) == self._size:
-            self._selector.unregister(self._listener)
-            self._listener.close()
-            self._drop_strangers(lambda _: True)
-            self.is_complete.set()
+
+    def _stop_listening(self) -> None:
+        """All ranks have joined."""
+        self._selector.unregister(self._listener)
+        self._listener.close()
+        self._drop_strangers(lambda _: True)
+        self.is_complete.set()
 
     def _note_address(self, channel: Channel) -> None:
         here, there = (end()[0] for end in (channel.socket.getsockname, channel.socket.getpeername))
