@@ -83,7 +83,8 @@ void for_each_item(const DeviceContext& context, int64_t count, Fn fn) {
 // Sets every byte.
 template <class T>
 void fill_bytes(const DeviceContext& context, T* target, int value, int64_t count) {
-  // In a CUDA graph a small memset takes 7 us, a kernel less than 2.
+  // In a CUDA graph a memset is launched when the kernel before it has ended, and the next kernel when the memset has
+  // ended: 1.3 us on an H200. Launches of kernels overlap, see `wait_for_previous_kernels`: 0.8 us.
   constexpr int64_t kFewBytes = 1 << 20;
   const int64_t bytes = count * static_cast<int64_t>(sizeof(T));
   if (bytes == 0) return;  // adds no node to a CUDA graph
